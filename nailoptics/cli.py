@@ -207,6 +207,7 @@ def colour(
     Args:
         photograph: Render the finger at rest and pressed (some seconds); by default unless --max-seconds is given.
     """
+    from .light.tracing import Ending
     from .report.pages.colour import COLOUR
     from .studies.colour.nail_colour import colour as study, photographs
 
@@ -215,7 +216,8 @@ def colour(
     result, unmet = traced(study, loaded, **vars(view), options=options)
     pictures: list[Any] = []
     try:
-        if not unmet and (options.max_seconds is None if photograph is None else photograph):
+        ended = unmet and (not photograph or str(unmet).startswith(Ending.INTERRUPTED.value))
+        if not ended and (options.max_seconds is None if photograph is None else photograph):
             with terminal.interruptible() as check:
                 # At rest and under the last force.
                 for state in dict.fromkeys((0, -1 % result.sizes["state"])) if result.sizes["tile"] > 0 else ():
@@ -245,7 +247,7 @@ def compare(
         require: Exit with 4 unless the fitted model stays within this fraction of every reading's swing.
         model: The model that --require tests: Taylor (9) or Beer-Lambert (8).
     """
-    from .report.pages.compare import COMPARISON, verdict_line
+    from .report.pages.compare import COMPARISON, lines, verdict_line
     from .studies.compare import compare as study, verdict
 
     if require is not None and not 0 < require < math.inf:
@@ -253,11 +255,11 @@ def compare(
     folder = _results(options.output, scene, COMPARISON)
     result, unmet = traced(study, _load(scene, options), over=over, options=options)
     paths = COMPARISON.write(result, folder)
-    decision = verdict(result, 0.05 if require is None else require, model=model)
+    decision = verdict(result, tolerance := 0.05 if require is None else require, model=model)
     missed, line = require is not None and decision.outcome == "missed", verdict_line(decision)
     summary = COMPARISON.summary(result) | {"verdict": vars(decision)}
     with suppress(*([NotReachedError] if missed else [])):
-        finish(paths, summary, [line], options.json, unmet, folder)
+        finish(paths, summary, lines(result, tolerance), options.json, unmet, folder)
     if missed:
         raise RequirementError(line)
     if require is not None and decision.outcome == "undecided":

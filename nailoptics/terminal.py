@@ -267,7 +267,10 @@ def traced(
     if options.max_seconds is not None:
         options = replace(options, max_seconds=(1 - RESERVE) * options.max_seconds)
     with shown() as progress:
-        return as_far_as_reached(study, *arguments, progress=progress, **parameters, **options.fields)
+        result, unmet = as_far_as_reached(study, *arguments, progress=progress, **parameters, **options.fields)
+    if unmet and "interrupted" in str(unmet):
+        say("no more light is traced; writing what was reached.")
+    return result, unmet
 
 
 def shown(report: "Report", result: Any, **more: Any) -> tuple[dict[str, Any], Iterable[object]]:

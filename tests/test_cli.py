@@ -21,7 +21,7 @@ import nailoptics
 from nailoptics import terminal
 from nailoptics.batch.run import BatchProgress
 from nailoptics.cli import run
-from nailoptics.errors import InputError
+from nailoptics.errors import InputError, NotReachedError
 from nailoptics.light import TraceProgress, Transfer, backend
 from nailoptics.studies.colour import nail_colour
 from nailoptics.studies.exploration.explore import FURTHER_LEDS
@@ -641,18 +641,28 @@ def test_max_seconds_bounds_the_tracing_with_a_reserve_for_the_rest(arguments, m
 
 
 @pytest.mark.parametrize(
-    ("options", "made"),
-    [([], 1), (["--max-seconds", "60"], 0), (["--max-seconds", "60", "--photograph"], 1), (["--no-photograph"], 0)],
+    ("options", "unmet", "made"),
+    [
+        ([], "", 1),
+        (["--max-seconds", "60"], "", 0),
+        (["--max-seconds", "60", "--photograph"], "", 1),
+        (["--max-seconds", "60", "--photograph"], "max_seconds ended the rays", 1),
+        (["--photograph"], "interrupted", 0),
+        (["--no-photograph"], "", 0),
+    ],
     ids=str,
 )
-def test_photographs_are_made_unless_there_is_a_time_limit(options, made, monkeypatch, folder):
+def test_photographs_are_made_unless_there_is_a_time_limit(options, unmet, made, monkeypatch, folder):
+    """Expected: where they are asked for, they are made of what rays the time was enough for, but after Ctrl-C."""
     calls: list[int] = []
 
     def ended(*_, **__):
         raise InputError("enough")
 
     of_one_state = SimpleNamespace(sizes={"state": 1, "tile": 1})
-    monkeypatch.setattr(terminal, "as_far_as_reached", lambda *_, **__: (of_one_state, None))
+    monkeypatch.setattr(
+        terminal, "as_far_as_reached", lambda *_, **__: (of_one_state, NotReachedError(unmet) if unmet else None)
+    )
     monkeypatch.setattr(nail_colour, "photographs", lambda *_, **__: [calls.append(1)])
     monkeypatch.setattr("nailoptics.report.files.Report.write", ended)
     assert run(["colour", "nail_colour", "--backend", "scalar", *options]) == 2

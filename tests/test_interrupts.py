@@ -105,6 +105,7 @@ def test_the_priors_of_a_simulation_end_within_a_batch(folder, interrupting, coa
     ended = interrupting.at(traced, *SIMULATE, call=5)
     assert (ended.code, ended.later) == (3, 0) and written(folder / "out") == set(SIMULATION.files)
     assert ended.said[-1] == "nailoptics: interrupted; priors not traced: bed scattering. What was reached is in out."
+    assert ended.said[-2] == "nailoptics: no more light is traced; writing what was reached."
     result = xr.load_dataset(folder / "out" / SIMULATION.files[0])
     how = dict(zip(result.prior_field.values.tolist(), result.prior_how.values.tolist(), strict=True))
     assert how == dict(zip(unknown, ("retraced", "not traced", "reweighted"), strict=True))

@@ -47,7 +47,8 @@ class Nail:
     @property
     def figures(self) -> tuple[str, ...]:
         """Names of the figures of this kind of result, the most telling first; `plot` says what one of them lacks."""
-        return tuple(self._report.figures)
+        # Of sweeps those of colours alone have photographs.
+        return tuple(f for f in self._report.figures if f != "photographs" or "photograph" in self._result)
 
     @property
     def scene(self) -> Scene:

@@ -127,6 +127,7 @@ def beside_models(
         for label, (values, look) in models.items():
             axes.plot(x, values[k], label=label, lw=1.2, marker=marker, **look)
         axes.set_title(plain(name))
+        axes.xaxis.set_major_formatter("{x:g}")
         axes.set_xlabel(xlabel if k + columns >= len(panels) else "")
         axes.set_ylabel("" if k % columns else ylabel)
         if len(x) > 1:

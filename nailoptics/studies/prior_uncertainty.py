@@ -1,5 +1,6 @@
 """The uncertainty of an answer due to the unknown parameters of a finger: draws from their joint prior."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
@@ -260,13 +261,15 @@ class ReadingUncertainty:
 
     level : natural logarithm of the reading in the first state. change : the change, over the scene's own.
     signal : the change as a fraction of the reading in the first state.
-    untraced : priors that need traces of their own and had none, or were interrupted.
+    untraced : priors that need traces of their own and had none, or too few.
+    why : what ended the traces before them.
     """
 
     level: PriorSensitivity
     change: PriorSensitivity
     signal: PriorSensitivity
     untraced: tuple[Prior, ...]
+    why: str
 
     def dataset(self, scene: Scene) -> xr.Dataset:
         """All of it over prior, led and photodiode; of priors that were not traced it is NaN."""
@@ -290,18 +293,16 @@ def readings_over_priors(
     """The uncertainty of a scene's readings in two blood states due to its priors.
 
     states : a scene's two states, (2, zones) float, and their saturations where its oxygen is balanced.
-    options : seed and backend of the traces of their own, which take half of max_seconds at most, all together.
+    options : seed and backend of the traces of their own, none of which begins that would end after max_seconds.
     own_traces : whether to trace what scatters or is shaped otherwise; else only what the trace itself gives.
-    progress : called with the stage "priors"; an interrupt ends the traces, and what is there is returned.
+    progress : called with the stage "priors"; an interrupt, or the time, ends the traces; what is there is returned.
     """
     scene = transfer.scene
     needing_traces = [prior for prior in scene.finger_priors if not only_absorbs(scene, prior)]
     evaluated = [prior for prior in scene.finger_priors if prior not in needing_traces]
-    limit = None if options.max_seconds is None else options.max_seconds / max(4 * len(needing_traces), 1)
     count = 1 + sum(2 + (abs(offset_of(scene, prior)) >= MOST_OFFSET) for prior in needing_traces)
-    stage, made = StageProgress(progress), list[int]()
+    stage, made_s = StageProgress(progress, options.max_seconds or math.inf), list[float]()
     photons = max(LEAST_OWN_PHOTONS, round(OWN_SHARE * max(led.photons for led in transfer.traces)))
-    fewer = replace(options, relative_error=None, photons=photons, max_seconds=limit)
 
     def reread(varied: Scene, light: Transfer = transfer) -> np.ndarray:
         """Logarithms of the first reading and of the second over it, (1 + groups, led, photodiode, 2) float."""
@@ -310,17 +311,19 @@ def readings_over_priors(
             return np.stack([first, second - first], -1)
 
     def report(_: object) -> None:
-        stage("priors", len(made) / count)
+        stage("priors", len(made_s) / count)
         if stage.interrupted:
-            raise KeyboardInterrupt
+            raise NotReachedError(stage.why)
 
     def retraced(varied: Scene) -> np.ndarray:
-        light, unmet = as_far_as_reached(trace, varied.without_accuracy(), progress=report, **fewer.fields)
-        if unmet and unmet.interrupted:
-            raise unmet
-        made.append(light.photons)
-        stage("priors", len(made) / count)
-        return reread(varied, light)
+        if (left_s := stage.seconds_left) <= (made_s or [0.0])[-1]:
+            raise NotReachedError(stage.why)
+        share_s, begin_s = left_s / (count - len(made_s)) if options.max_seconds else None, stage.seconds
+        how = replace(options, relative_error=None, photons=photons, max_seconds=share_s).fields
+        answer = reread(varied, as_far_as_reached(trace, varied.without_accuracy(), progress=report, **how)[0])
+        made_s.append(stage.seconds - begin_s)
+        stage("priors", len(made_s) / count)
+        return answer
 
     result = over_priors(scene, evaluated + (needing_traces if own_traces else []), reread, retraced)
     return ReadingUncertainty(
@@ -328,6 +331,7 @@ def readings_over_priors(
         change=replace(result, answer=_change),
         signal=replace(result, answer=lambda values, _: np.expm1(values[..., 1])),
         untraced=tuple(prior for prior in needing_traces if prior not in result.priors),
+        why=stage.why,
     )
 
 

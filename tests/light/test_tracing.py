@@ -4,6 +4,7 @@ import itertools
 import logging
 import math
 import time
+from dataclasses import replace
 from types import NoneType, SimpleNamespace
 
 import numpy as np
@@ -134,8 +135,22 @@ def test_progress_is_reported_after_every_batch(jit_backend, monkeypatch):
     assert [p.photons for p in first] == [i << 13 for i in range(1, 6)]
     assert [p.fraction_done for p in first] == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0])
     errors = [p.relative_error for p in first]
-    assert errors[-1] < errors[0] < math.inf and first[-1].seconds_left == 0
+    assert errors[-1] < errors[0] < math.inf and reports[-1].seconds_left == 0
+    # The second LED takes about as long as the first.
+    assert first[-1].seconds_left == pytest.approx(first[-1].seconds)
     assert all(a.seconds < b.seconds for a, b in itertools.pairwise(first))
+
+
+def test_the_time_left_is_no_longer_than_the_limit(jit_backend, monkeypatch):
+    """Of a stage that is hardly begun, and of the first LED of two; expected: what is left of the limit of all."""
+    said: list[TraceProgress] = []
+    stopping.StageProgress(said.append, 50.0)("a stage", 1e-9)
+    assert replace(said[0], seconds=10.0).seconds_left == 40 and replace(said[0], seconds=60.0).seconds_left == 0
+    monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 12)
+    nail.trace(slab(leds=2), photons=1 << 14, max_seconds=500.0, progress=said.append)
+    assert [(p.number, p.leds) for p in said[1:]] == 4 * [(0, 2)] + 4 * [(1, 2)]
+    assert said[-1].limit_s < said[1].limit_s <= 500
+    assert replace(said[1], fraction_done=1e-9, seconds=20.0).seconds_left == said[1].limit_s - 20
 
 
 def test_progress_towards_a_tolerance_ends_at_one(jit_backend, monkeypatch):

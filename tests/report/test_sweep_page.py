@@ -54,9 +54,9 @@ def test_names_failures_and_titles_are_text_on_the_page():
 @pytest.mark.parametrize(
     ("axis", "place", "values", "label"),
     [
-        ("clear_epoxy_um", "board.clear_epoxy_um", [200.0, 400.0], "clear epoxy [µm]"),
-        ("led_position", "leds.ir.position_mm", ["[-1, 0]", "[-2, 1]"], "led position [mm]"),
-        ("parameters", "blood.parameters", ["best", "listed"], "parameters"),
+        ("clear_epoxy_um", "board.clear_epoxy_um", [200.0, 400.0], "board.clear_epoxy_um [µm]"),
+        ("led_position", "leds.ir.position_mm", ["[-1, 0]", "[-2, 1]"], "leds.ir.position_mm [mm]"),
+        ("parameters", "blood.parameters", ["best", "listed"], "blood.parameters"),
     ],
 )
 def test_an_axis_is_named_once_with_its_unit(monkeypatch, axis, place, values, label):
@@ -78,7 +78,20 @@ def test_the_axes_of_a_figure_have_names_and_units(monkeypatch):
     for head in ("Axis", "Place in the scene", "Values", "From, to"):
         assert f"<th>{head}</th>" in text
     (axes,) = drawn[0].axes
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("base [N]", "voltage at rest [V]")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("touch.force_n [N]", "voltage at rest [V]")
+
+
+def test_resistors_that_were_fitted_scene_by_scene_are_named():
+    """Expected: where they differ, unless the sweep itself sets them."""
+    words = "each fitted to the light of its own"
+    for place, ohm, said in (
+        ("leds.ir.flux_mw", [1e3, 2e3], True),
+        ("leds.ir.flux_mw", [1e3, 1e3], False),
+        ("electronics.feedback_ohm", [1e3, 2e3], False),
+    ):
+        sweep = results(["a", "b"], axis="value").assign_coords(value=("value", [1.0, 2.0], {"long_name": place}))
+        sweep["feedback_ohm"] = ("value", "photodiode"), np.reshape(ohm, (2, 1))
+        assert (words in page(sweep)) is said
 
 
 @pytest.mark.parametrize("axis", ["base", "=1+1"])

@@ -326,6 +326,15 @@ def test_neighbouring_seeds_share_no_streams(monkeypatch):
     assert len(used) == len(set(used)) == 12 and max(used) < 2**63
 
 
+def test_the_terminal_says_of_both_formulas_whether_they_hold_and_what_the_tolerance_is():
+    draw = np.random.default_rng(4).gamma(2.0, 2.5, 2000)
+    computed = judged(made_up(draw, draw), "blood", slopes=np.full((2, 1, 8), np.nan))
+    taylor, exact, meaning = compare_page.lines(computed, 0.1)
+    for line, name in ((taylor, "Taylor (9)"), (exact, "Beer-Lambert (8)")):
+        assert name in line and "10 % of the swing" in line
+    assert "5 % where --require gives no other" in meaning
+
+
 def test_what_cannot_be_compared_is_one_line():
     scene = prototype()
     still = scene.model_copy(update={"touch": scene.touch.model_copy(update={"force_n": 0.0})})

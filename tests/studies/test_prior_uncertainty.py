@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics.for_scene import steady_blood
 from nailoptics.light import ReweightWarning, Transfer, optics, trace
+from nailoptics.light.tracing import stopping
 from nailoptics.light.transfer.records import LedTrace
 from nailoptics.light.transfer.series import readings_over_states
 from nailoptics.options import TraceOptions
@@ -22,6 +24,7 @@ from nailoptics.scene.priors import Prior, PriorRange, shipped_priors
 from nailoptics.scene.vessels import Tuning
 from nailoptics.sensor.information import operating_point
 from nailoptics.statistics import Z95, jackknife, leave_one_out
+from nailoptics.studies import prior_uncertainty
 from nailoptics.studies.prior_uncertainty import (
     NODES,
     WEIGHTS,
@@ -252,6 +255,30 @@ def test_a_scattering_prior_has_traces_of_its_own(chosen_jit):
     assert (nodes[2, 2:6] < nodes[1, 2:6]).all()
     value, error = result.level.total
     assert (value + 2 * error >= without.level.total[0]).all() and (value - 2 * error > without.level.total[0]).any()
+
+
+def test_the_traces_of_all_priors_share_one_time(reread, monkeypatch):
+    """Traces of 4 s each, five of two priors; expected: each may take its share of what is left, and none begins that
+    would end too late, so that of a prior whose traces are not complete nothing is said."""
+    scene, now_s, limits = prototype(*all_but("finger.plate_scattering", "finger.bed_scattering")), [0.0], []
+
+    def traced_for_4_s(varied, *, max_seconds, **how):
+        limits.append(max_seconds)
+        now_s[0] += 4.0
+        return replace(reread, scene=varied)
+
+    monkeypatch.setattr(stopping, "time", SimpleNamespace(perf_counter=lambda: now_s[0]))
+    monkeypatch.setattr(prior_uncertainty, "trace", traced_for_4_s)
+    for max_seconds, expected, names in (
+        (30.0, [6.0, 6.5, 22 / 3, 9.0, 14.0], []),
+        (19.0, [3.8, 3.75, 11 / 3, 3.5], ["finger.bed_scattering"]),
+        (None, [None] * 5, []),
+    ):
+        now_s[0], options = 0.0, replace(OPTIONS, max_seconds=max_seconds)
+        limits.clear()
+        result = readings_over_priors(replace(reread, scene=scene), ends, options=options, own_traces=True)
+        assert limits == pytest.approx(expected) if max_seconds else limits == expected
+        assert [prior.field for prior in result.untraced] == names and result.why == "max_seconds ended"
 
 
 @pytest.mark.long

@@ -77,6 +77,9 @@ class TraceProgress:
 
     relative_error is the largest over the LED's photodiodes, inf while one has detected nothing; with a unit, it is
     an error in that unit. Of studies `led` may name a stage, which may have no error.
+
+    limit_s : after which it ends at the latest, as `seconds` counts. [s]
+    number, leds : the LED is this one, from 0, of so many that take about as long.
     """
 
     led: str
@@ -87,11 +90,15 @@ class TraceProgress:
     seconds: float
     unit: str = ""
     is_stage: bool = False
+    limit_s: float = math.inf
+    number: int = 0
+    leds: int = 1
 
     @property
     def seconds_left(self) -> float:
-        """Time left at the present pace. [s]"""
-        return self.seconds * (1 / self.fraction_done - 1) if self.fraction_done > 0 else math.inf
+        """Time left for this and all further LEDs at the present pace, and within the limit. [s]"""
+        all_s = self.seconds * (self.leds - self.number) / self.fraction_done if self.fraction_done > 0 else math.inf
+        return max(min(all_s, self.limit_s) - self.seconds, 0.0)
 
 
 ProgressCallback = Callable[[TraceProgress], None]
@@ -110,7 +117,8 @@ class StageProgress:
         """Report a stage, the part of it that is done, and the relative error reached and requested."""
         self._last = (stage, done, error, target)
         if self.callback and not self.interrupted:
-            progress = TraceProgress(stage, 0, error, target, min(1.0, done), self.seconds, self.unit, is_stage=True)
+            so_far = (0, error, target, min(1.0, done), self.seconds, self.unit)
+            progress = TraceProgress(stage, *so_far, is_stage=True, limit_s=self.limit_s)
             try:
                 self.callback(progress)
             except KeyboardInterrupt:
@@ -183,7 +191,7 @@ class LedStoppingCriterion:
     """
 
     def __init__(self, scene: Scene, led: int, required: Accuracy, *, full: int, seconds: float = math.inf) -> None:
-        self.required, self.full, self.seconds = required, full, seconds
+        self.required, self.full, self.seconds, self.led, self.leds = required, full, seconds, led, len(scene.leds)
         self.name, self.photodiodes = scene.leds[led].name, photodiode_names(scene)
         self._at_rest = rest_state(scene, led)
         self._traces: list[LedTrace] = []
@@ -250,7 +258,9 @@ class LedStoppingCriterion:
             # While nothing is known of the error, the end is as far as that of a photodiode that no light reaches.
             known = self.photons / UNLIT_PHOTONS if math.isinf(self.error) else (target / max(self.error, 1e-99)) ** 2
             share = max(share, known)
-        return TraceProgress(self.name, self.photons, self.error, target, min(share, 1.0), seconds)
+        # All that are left have as long.
+        limit_s, so_far = self.seconds * (self.leds - self.led), (self.error, target, min(share, 1.0), seconds)
+        return TraceProgress(self.name, self.photons, *so_far, limit_s=limit_s, number=self.led, leds=self.leds)
 
 
 def check_schedule(batches: int) -> bool:

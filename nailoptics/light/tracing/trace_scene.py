@@ -62,7 +62,7 @@ def trace(
         complaint = complaint or criterion.unmet_reason(ending)
         if ending is Ending.INTERRUPTED:
             # What is there is of use only with something from every LED: one batch each, then the end.
-            interrupted, required = True, Accuracy(photons=engine.full)
+            interrupted, required = True, Accuracy(photons=min(engine.full, required.photons or engine.full))
         reused += source.reused
         traces.append(criterion.trace())
     result = Transfer(

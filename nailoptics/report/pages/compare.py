@@ -6,12 +6,13 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from ...scene import parse_scene
 from ...statistics import Z95
 from ...studies.compare import Verdict, verdict
 from .. import style
 from ..files import Report, run_summary
 from ..html import Html, document, figure, section, small, subheading, table, texts
-from ..maps import led_name
+from ..maps import coloured_along_nail, led_name
 from ..numbers import estimated, plain, significant, with_stderr
 
 TEXTS = texts("compare")
@@ -66,7 +67,7 @@ def _cards(result: xr.Dataset) -> list[tuple[str, str]]:
 def _limits(result: xr.Dataset, led: int) -> tuple[list[dict[str, str]], list[str]]:
     """Up to what setting, and what alpha D^2, each fitted model stays within 1 % and 5 %; and the sweep of each row."""
     rows, groups = [], []
-    for sweep, (_, j) in product(map(str, result.sweep.values), _photodiodes(result)):
+    for sweep, j in product(map(str, result.sweep.values), range(result.sizes["photodiode"])):
         pair = result.sel(sweep=sweep).isel(led=led, photodiode=j)
         row = {"Photodiode": str(pair.photodiode.values), "Swing [%]": estimated(pair, "relative_swing", 100)}
         row["Mean path [mm]"] = estimated(pair, "path_mm")
@@ -96,10 +97,8 @@ SHOWN, MARKED = (0.01, 500.0), (1, 5)
 
 
 def _photodiodes(result: xr.Dataset) -> list[tuple[str, int]]:
-    """Colour and index of each photodiode: proximal ones first, in the scene's order."""
-    zones = result.zone_of_photodiode.values
-    colours = style.place_colours(len(zones), int((zones >= result.sizes["zone"] / 2).sum()))
-    return list(zip(colours, np.argsort(zones, kind="stable").tolist(), strict=True))
+    """Colour and index of each photodiode, from the most proximal to the most distal."""
+    return coloured_along_nail(parse_scene(str(result.attrs["scene"]), name="the result's scene"))
 
 
 @style.drawing()
@@ -121,6 +120,7 @@ def _range_errors_figure(result: xr.Dataset, *, led: int = 0) -> "style.Figure":
             for tolerance in MARKED:
                 axes.axhline(tolerance, color=style.INK, lw=0.9, ls=(0, (4, 2)))
             axes.set_title(f"{formula}, fitted, over {sweep}")
+            axes.xaxis.set_major_formatter("{x:g}")
             axes.set(xlim=(x[0], x[-1]), xlabel=f"range from {x[0]:g} to this {X_LABELS[sweep]}")
         row[0].set_ylabel("largest error [% of swing]")
     style.plain_log(grid[0, 0].yaxis)
@@ -224,10 +224,15 @@ def verdict_line(decision: Verdict) -> str:
     return TEXTS["largest_error"].format(words, *errors, decision.led, decision.photodiode)
 
 
+def lines(result: xr.Dataset, tolerance: float = 0.05) -> list[str]:
+    """Whether each fitted model holds within a tolerance, and what that is, for the terminal."""
+    return [*(verdict_line(verdict(result, tolerance, model=model)) for model in FORMULAS), TEXTS["tolerance"]]
+
+
 COMPARISON = Report(
     ("compare.nc", "compare.html"),
     page,
     summary,
-    lambda result, _: [verdict_line(verdict(result, 0.05))],
+    lambda result, _: lines(result),
     {"range": _range_errors_figure, "errors": _error_parts_figure, "changes": _changes_figure},
 )

@@ -41,8 +41,9 @@ def _title(known: list[Effect]) -> str:
     if not known:
         return "Too few photons to rank the effects on the readings"
     largest = next((effect for effect in known if effect.matters == "yes"), known[0])
-    what = "the signal of " if largest.of == "signal" else ""
-    return f"{largest.name} changes {what}{largest.photodiode} by {_change(largest)}\u00a0%"
+    what, where = ("the signal" if largest.of == "signal" else "the reading"), largest.photodiode.split(" on ", 1)
+    name, of = largest.name[:1].upper() + largest.name[1:], " on photodiode ".join(where)
+    return f"{name} changes {what} of LED {of} by {_change(largest)}\u00a0%"
 
 
 def _change(effect: Effect) -> str:
@@ -120,7 +121,8 @@ def _effect(effect: Effect) -> dict[str, Any]:
 
 def lines(result: Explanation) -> list[str]:
     """The table of effects and what the scene requires, for the terminal."""
-    out = [f"Changes of a reading by more than {100 * result.tolerance:g} % matter.", *aligned(_rows(result))]
+    matter = f"Changes of a reading by more than {100 * result.tolerance:g} % matter."
+    out = [matter, *aligned(_rows(result)), TEXTS["note"]]
     for text, scene_lines in _requires(result):
         out += [text, *(f"  {line}" for line in scene_lines.splitlines())]
     return out

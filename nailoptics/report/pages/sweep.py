@@ -13,7 +13,7 @@ import xarray as xr
 from ...batch import write_table
 from ...errors import InputError
 from ...io import write_text
-from ...variables import UNITS, unit_of
+from ...variables import unit_of
 from .. import style
 from ..files import Report, run_summary
 from ..html import document, figure, section, small, table, texts
@@ -78,6 +78,9 @@ def _figures(results: xr.Dataset) -> str:
     if quantity is None:
         return ""
     text, lines = str(results[quantity].attrs["long_name"]), [small(texts("sweep")["note"])]
+    if "feedback_ohm" in results and "feedback_ohm" not in str(_axes(results)):
+        ohm = results.feedback_ohm.stack(scene=results.state.dims).transpose("scene", ...)
+        lines += [small(texts("sweep")["fitted"])] if np.nanmax(np.nanstd(ohm, axis=0)) > 0 else []
     for name in _varied(results)[:FIGURES]:
         held = _held(results, name)
         caption = f"Over {results[name].attrs.get('long_name', name)}" + (f", at {held}." if held else ".")
@@ -100,10 +103,14 @@ def _others(results: xr.Dataset, name: str) -> dict[Any, int]:
 
 
 def _held(results: xr.Dataset, name: str) -> str:
-    """Where the other axes are held, in words: so2 = 0.85, force_n = 1 N."""
+    """Where the other axes are held, in words: so2 = 0.85 (one of 3), force_n = 1 N (one of 2)."""
     held = {d: results[d][i] for d, i in _others(results, name).items() if d in results.coords}
-    shown = {d: f"{at.item():.4g}" if at.dtype.kind == "f" else str(at.item()) for d, at in held.items()}
-    return ", ".join(f"{d} = {shown[d]} {at.attrs.get('units', '1')}".removesuffix(" 1") for d, at in held.items())
+    words = []
+    for d, at in held.items():
+        shown = f"{at.item():.4g}" if at.dtype.kind == "f" else str(at.item())
+        unit, count = at.attrs.get("units", "1"), results.sizes[d]
+        words.append(f"{d} = {shown} {unit}".removesuffix(" 1") + (f" (one of {count})" if count > 1 else ""))
+    return ", ".join(words)
 
 
 @style.drawing()
@@ -128,10 +135,9 @@ def _along(results: xr.Dataset, axis: str = "") -> "style.Figure":
     of = f"{letter}{unit}" if unit != "1" else significant(scale, 1)
     axes.set_ylabel(style.plain(textwrap.fill(f"{results[quantity].attrs['long_name']} [{of}]", 34)))
     # Of texts, such as places, the unit is that of their field.
-    unit = str(results[name].attrs.get("units", unit_of(results[name].attrs.get("long_name", ""))))
-    ends = (f"_{end}" for end, shown in UNITS.items() if shown == unit and name.endswith(f"_{end}"))
-    words = name.removesuffix(next(ends, "")).replace("_", " ")
-    axes.set_xlabel(style.plain(f"{words} [{unit}]" if numeric or unit != "1" else words))
+    place = str(results[name].attrs.get("long_name", name))
+    unit = str(results[name].attrs.get("units", unit_of(place)))
+    axes.set_xlabel(style.plain(f"{place} [{unit}]" if numeric or unit != "1" else place))
     axes.set_title(style.plain(textwrap.fill(_held(results, name), 70)))
     if not numeric:
         axes.set_xticks(x, [style.plain(str(v)[:24]) for v in coordinate])

@@ -20,8 +20,8 @@ LEAST, MOST = 5e-4, 10.0
 GRID = np.geomspace(LEAST, MOST, 200)
 # Limits of the axis where no time is known. [s]
 NO_TIMES = 0.01, 1000.0
-# Names lie so many decades apart.
-APART = 0.17
+# Names lie so far beside the axes and apart, in parts of their width and height.
+BESIDE, APART = 1.03, 0.04
 # Errors for which the fastest answer is reported, and those that the sentence for a designer names.
 ERRORS = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.001)
 SENTENCE_ERRORS = (0.2, 0.05, 0.01, 0.001)
@@ -64,11 +64,8 @@ def draw(result: Tradeoff) -> "style.Figure":
     axes.plot(*np.reshape(best, (-1, 2)).T, color=style.INK, lw=2.2, zorder=2, label="the best of all")
     axes.axhline(100 * result.tolerance, color=style.INK, lw=1, ls=(0, (1, 1.5)), zorder=1, label="tolerance")
     # Where no level could be evaluated there is nothing to fit them to.
-    low, high = axes.get_xlim() if ends else axes.set_xlim(*NO_TIMES)
-    # Where the names stand there is no time.
-    axes.set_xticks([tick for tick in axes.get_xticks() if low <= tick <= high])
-    axes.set_xlim(low, high * (high / low) ** 0.4)
-    _names(axes, ends, x=high * (high / low) ** 0.02)
+    axes.set_xlim(axes.get_xlim() if ends else NO_TIMES)
+    _names(axes, ends)
     if math.isfinite(seconds := result.chosen.seconds(result.tolerance)):
         error = 100 * result.tolerance
         axes.plot(seconds, error, "*", ms=13, color=style.ZONES[0], zorder=5, label="chosen")
@@ -76,15 +73,21 @@ def draw(result: Tradeoff) -> "style.Figure":
     return drawing
 
 
-def _names(axes: "style.Axes", places: Sequence[tuple[str, np.ndarray]], *, x: float) -> None:
-    """Names in a column at x, at least so far apart that each is read, with lines to their places."""
-    heights = np.array(style.spread([float(np.log10(place[1])) for _, place in places], APART))
-    heights = np.maximum(heights, np.log10(100 * LEAST) + APART * (0.5 + np.argsort(np.argsort(heights))))
-    for (name, place), height in zip(places, heights, strict=True):
+def _names(axes: "style.Axes", places: Sequence[tuple[str, np.ndarray]]) -> None:
+    """Names in a column beside the axes, at least so far apart that each is read, with lines to their places, the
+    shortest together: so none crosses another."""
+    from scipy.optimize import linear_sum_assignment
+
+    ends = axes.transLimits.transform(np.log10(np.reshape([place for _, place in places], (-1, 2))))
+    heights = style.spread(ends[:, 1].tolist(), APART)
+    heights = np.maximum(heights, APART * (0.5 + np.argsort(np.argsort(heights))))
+    long = np.hypot(1.6 * (BESIDE - ends[:, :1]), ends[:, 1:] - heights)
+    for (name, place), slot in zip(places, linear_sum_assignment(long)[1], strict=True):
         axes.annotate(
             style.plain(name),
             tuple(place),
-            xytext=(x, 10**height),
+            xytext=(BESIDE, heights[slot]),
+            textcoords="axes fraction",
             va="center",
             fontsize=8,
             color=style.INK,
@@ -102,7 +105,7 @@ def _rows(result: Tradeoff) -> list[dict[str, str]]:
             row[f"Bias of {name} [%]"] = with_error(100 * bias.value, 100 * bias.stderr, sign=True)
             row[f"upper bound of {name} [%]"] = significant(100 * bias.bound, 2)
         seconds = level.seconds(result.tolerance)
-        rows.append(row | {"Answer within the tolerance": duration(seconds) if math.isfinite(seconds) else "–"})
+        rows.append(row | {"Processor time within the tolerance": duration(seconds) if math.isfinite(seconds) else "–"})
     return rows
 
 

@@ -22,7 +22,7 @@ import numpy as np
 import xarray as xr
 
 from ...display import Displayed
-from ...errors import InputError, NotReachedError, as_far_as_reached
+from ...errors import InputError, as_far_as_reached, unless_cut_off
 from ...geometry import underside
 from ...hemodynamics.touch import largest_force_n
 from ...light import ProgressCallback, optics
@@ -213,10 +213,11 @@ def explore(scene: SceneIn, *, progress: ProgressCallback | None = None, **reque
     """Trace what a page needs to show any layout on a finger scene's board.
 
     photons : of each of the scene's wavelengths; further ones get half as many.
-    max_seconds : wall time after which tracing ends with what there is, one batch of each group or more. [s]
+    max_seconds : wall time in which the tables are to be there, of what photons there are by then, one batch of each
+        group or more. [s]
 
     Raises: InputError where the scene has no finger, several walls, LEDs that are not Lambertian, or other than two
-    blood zones; NotReachedError, whose result is the Exploration as far as it was made, if interrupted;
+    blood zones; NotReachedError, whose result is the Exploration as far as it was made, if interrupted or out of time;
     KeyboardInterrupt if a wavelength has no photons by then.
     """
     scene = as_scene(scene)
@@ -247,10 +248,8 @@ def explore(scene: SceneIn, *, progress: ProgressCallback | None = None, **reque
     ambient = (light["nodes_u"], light["nodes_v"]), light["ambient_a_per_mm2"]
     own = fingers[0][1], tables, touch_table(base)
     exploration = Exploration(base, basis, radial, *own, *ambient, people, attributes)
-    if unmet and unmet.interrupted:
-        attributes["cut_off"] = str(unmet)
-        raise NotReachedError(str(unmet), result=exploration)
-    return exploration
+    attributes |= {"cut_off": str(unmet)} if unmet else {}
+    return unless_cut_off(exploration, unmet)
 
 
 def blood_polynomial(scene: Scene, chosen: bool) -> BloodPolynomial:
@@ -276,17 +275,16 @@ def _stored_light(
 
     def trace() -> tuple[dict[str, Any], dict[str, Array]]:
         fluence = [_fluence(base, led, k, options) for k, led in enumerate(sources)]
-        cut_off = _trace(sums, photons, report)
         there, x, y, _ = sums[0].traced(min(usual, PILOT_PHOTONS), PILOT)
         radial = RadialFunction.of_arrivals(basis, x, y, there.weight * (sums[0].area_mm2 / there.photons))
         projection = PairProjection(basis, radial)
+        cut_off = _trace(sums, photons, report, projection)
         by_wavelength = stacked_rows([band.table(projection) for band in sums])
         rings = {str(axis): fluence[0][axis].values for axis in fluence[0].dims}
         (nodes_u, nodes_v), ambient_a = sums[0].ambient()
         light = {"radial": radial.log_coefficients, "nodes_u": nodes_u, "nodes_v": nodes_v}
         light |= {"ambient_a_per_mm2": ambient_a, "fluence": np.stack(fluence), **by_wavelength, **rings}
-        if (light["photons"] < photons).any():
-            raise NotReachedError(cut_off or "max_seconds ended", result=light, interrupted=bool(cut_off))
+        unless_cut_off(light, cut_off)
         return {}, light
 
     entries = [store.entry(_tables_key(sums, options.seed)) for store in LightStore.of_command(options)]
@@ -305,14 +303,14 @@ def _tables_key(sums: list[WavelengthSums], seed: int) -> dict[str, Any]:
     return key | {"program": program_digest((*CODE, "sensor/**/*.py", "studies/exploration/**/*.py"))}
 
 
-def _trace(sums: list[WavelengthSums], photons: list[int], report: StageProgress) -> str:
+def _trace(sums: list[WavelengthSums], photons: list[int], report: StageProgress, projection: PairProjection) -> str:
     """Trace rounds of a batch for every group of every wavelength, each round twice the last, until there are so many
-    photons or the next would end late. Returns: why it was interrupted, if it was. Raises: KeyboardInterrupt where the
-    first round is not complete."""
+    photons or the tables after the next would come late. Returns: why there are not so many, if so. Raises:
+    KeyboardInterrupt where the first round is not complete."""
 
     def batches() -> Iterator[tuple[WavelengthSums, int, int]]:
-        count, round_s = LEAST_BATCH, 0.0
-        while count == LEAST_BATCH or report.seconds + 2 * round_s < report.limit_s:
+        count, round_s, tables_s = LEAST_BATCH, 0.0, 0.0
+        while count == LEAST_BATCH or report.seconds + 2 * round_s + tables_s < report.limit_s:
             begin_s = report.seconds
             left = [math.ceil(most / BLOCKS - band.photons[0]) for band, most in zip(sums, photons, strict=True)]
             sizes = [min(count, band.tracer.batch_photons, most) for band, most in zip(sums, left, strict=True)]
@@ -320,7 +318,10 @@ def _trace(sums: list[WavelengthSums], photons: list[int], report: StageProgress
                 return
             for band, size in zip(sums, sizes, strict=True):
                 yield from ((band, block, size) for block in range(BLOCKS) if size > 0)
-            count, round_s = 2 * count, report.seconds - begin_s
+            count, round_s, begin_s = 2 * count, report.seconds - begin_s, report.seconds
+            if not tables_s and math.isfinite(report.limit_s):
+                sums[0].table(projection)
+                tables_s = len(sums) * (report.seconds - begin_s)
 
     def sample(batch: tuple[WavelengthSums, int, int]) -> None:
         band, block, size = batch
@@ -329,9 +330,10 @@ def _trace(sums: list[WavelengthSums], photons: list[int], report: StageProgress
         report(f"{band.lit.leds[0].wavelength_nm:g} nm", done)
 
     ending = run_until(batches(), sample, is_late=lambda _: report.interrupted)
-    if not report.interrupted and ending is not Ending.INTERRUPTED:
+    if all(band.photons.sum() >= most for band, most in zip(sums, photons, strict=True)):
         return ""
-    cut_off = f"interrupted with {sum(band.photons.sum() for band in sums):.0f} of {sum(photons)} photons."
+    why = Ending.INTERRUPTED if report.interrupted or ending is Ending.INTERRUPTED else Ending.OUT_OF_TIME
+    cut_off = f"{why.value} with {sum(band.photons.sum() for band in sums):.0f} of {sum(photons)} photons."
     if any((band.photons == 0).any() for band in sums):
         raise KeyboardInterrupt(f"{cut_off} No page was written.")
     return cut_off

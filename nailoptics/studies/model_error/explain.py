@@ -318,12 +318,7 @@ def measurements(scene: Scene, tolerance: float, options: TraceOptions) -> list[
 
 
 def effect_of(
-    change: Change,
-    measured: Difference,
-    base: PairedReadings,
-    *,
-    tolerance: float,
-    how: How = "derived",
+    change: Change, measured: Difference, base: PairedReadings, *, tolerance: float, how: How = "derived"
 ) -> Effect:
     """An effect from the difference that its change makes; without a modulation where the difference has none.
 
@@ -349,7 +344,7 @@ def effect_of(
         change=float(ratio[best]),
         stderr=picked * float(error[best]),
         bound=float(np.where(known, differences.bound, np.inf).max()),
-        photodiode=f"{base.transfer.leds[i]} {base.transfer.photodiodes[j]}",
+        photodiode=f"{base.transfer.leds[i]} on {base.transfer.photodiodes[j]}",
         modulation_bound=of_signal if math.isfinite(of_signal) else None,
         tolerance=tolerance,
         of=of,

@@ -179,8 +179,9 @@ def test_the_command_refuses_in_one_line(arguments, what, capsys, tmp_path, monk
 
 
 @pytest.mark.parametrize(("pace_s", "limit_s"), [(5e-6, 60.0), (5e-5, 60.0), (5e-6, 6.0), (5e-5, 0.001)])
-def test_rounds_end_with_the_time_or_with_the_first(monkeypatch, pace_s, limit_s):
-    """Expected: the time is kept and a third of it used; in no time one least batch of each group."""
+@pytest.mark.parametrize("table_s", [0.0, 0.1])
+def test_rounds_end_with_the_time_or_with_the_first(monkeypatch, pace_s, limit_s, table_s):
+    """Expected: the time is kept, tables included, and a third of it used; in no time one least batch of each group."""
     clock, sent = SimpleNamespace(now=0.0), np.zeros((2, BLOCKS))
     monkeypatch.setattr("nailoptics.light.tracing.stopping.time", SimpleNamespace(perf_counter=lambda: clock.now))
 
@@ -190,9 +191,15 @@ def test_rounds_end_with_the_time_or_with_the_first(monkeypatch, pace_s, limit_s
             clock.now += photons * pace_s
 
         lit = scene()
-        return SimpleNamespace(add=add, photons=sent[k], lit=lit, tracer=SimpleNamespace(batch_photons=1 << 17))
+        tracer = SimpleNamespace(batch_photons=1 << 17)
+        return SimpleNamespace(add=add, table=tabulate, photons=sent[k], lit=lit, tracer=tracer)
 
-    assert study._trace([colour(0), colour(1)], [10**8, 10**8], StageProgress(None, limit_s)) == ""
+    def tabulate(projection):
+        clock.now += table_s
+
+    why = study._trace([colour(0), colour(1)], [10**8, 10**8], StageProgress(None, limit_s), None)
+    assert why == f"max_seconds ended with {sent.sum():.0f} of 200000000 photons."
+    clock.now += 2 * table_s
     least_s = sent.size * study.LEAST_BATCH * pace_s
     assert (sent == sent[0, 0]).all() and sent[0, 0] >= study.LEAST_BATCH
-    assert min(0.3 * limit_s, least_s) <= clock.now <= max(limit_s, least_s) * 1.001
+    assert min(0.3 * limit_s, least_s) <= clock.now <= max(limit_s, least_s + 3 * table_s) * 1.001

@@ -233,7 +233,7 @@ def assert_printed(seeds: list[tuple[PairedReadings, Difference]], exact: Differ
     held = []
     for base, computed in seeds:
         one = effect_of(Change("any", True, ""), computed, base, tolerance=0.02)
-        j = [f"{base.transfer.leds[0]} {name}" for name in base.transfer.photodiodes].index(one.photodiode)
+        j = [f"{base.transfer.leds[0]} on {name}" for name in base.transfer.photodiodes].index(one.photodiode)
         judged = exact.signal if one.of == "signal" else exact.reading
         away = abs(one.change - judged.value[0, j]) / np.hypot(one.stderr, judged.stderr[0, j])
         # The values of many photons have errors of their own.

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -102,6 +103,25 @@ def test_the_picture_names_every_level_and_the_page_says_what_each_needs():
     assert sentence(computed) in page and "similarity = true" in page and "relative_error = 0.02" in page
 
 
+def test_lines_to_the_names_of_levels_do_not_cross_and_the_axis_ends_with_the_data():
+    levels = [level(f"biased {k}", 0.05 * 1.1**k, setup_seconds=2.0 * 9.0 ** (k % 5)) for k in range(10)]
+    drawing = tradeoff_page.draw(made(*levels))
+    drawing.canvas.draw()
+    (axes,) = drawing.axes
+    ends = [axes.transData.transform(text.xy) for text in axes.texts]
+    names = [axes.transAxes.transform(text.get_position()) for text in axes.texts]
+
+    def side(a, b, c):
+        return np.sign(np.linalg.det([b - a, c - a]))
+
+    for (a, b), (c, d) in combinations(zip(ends, names, strict=True), 2):
+        assert side(a, b, c) == side(a, b, d) or side(c, d, a) == side(c, d, b)
+    heights = np.sort([height for _, height in names])
+    assert (np.diff(heights) > 0.99 * tradeoff_page.APART * axes.bbox.height).all()
+    most_s = max(line.get_xdata().max() for line in axes.lines if len(line.get_xdata()) > 2)
+    assert axes.get_xlim()[1] < 10 * most_s
+
+
 def test_the_picture_is_empty_where_no_level_could_be_judged():
     computed = made(level("biased", np.inf))
     computed = replace(computed, levels=tuple(replace(one, reading_noise=np.inf) for one in computed.levels))
@@ -196,6 +216,26 @@ def test_an_interrupt_keeps_the_levels_that_were_measured(jit_backend):
     assert isinstance(result, Tradeoff)
     assert {REFERENCE, "Taylor (9), traced"} <= {one.name for one in result.levels}
     assert "similarity" not in {one.name for one in result.levels}
+
+
+@pytest.mark.jit
+def test_walls_with_mass_end_with_the_time_or_an_interrupt(jit_backend, monkeypatch):
+    """An interrupt as they are followed, and a limit that ends at their first report; expected: all other levels."""
+    usual = {"vessels to 1e-3", "1 of 10 samples", "eight zones", "similarity"}
+
+    def stop(p):
+        if p.led == "walls with mass":
+            assert p.is_stage and 0 <= p.fraction_done <= 1
+            raise KeyboardInterrupt
+
+    for limit_s, progress, why in ((90.0, stop, "interrupted"), (0.0, None, "0 s ended")):
+        monkeypatch.setattr("nailoptics.studies.model_error.paired.USUAL_SECONDS", limit_s)
+        with pytest.raises(
+            NotReachedError, match=f'^{why} the level "walls with mass" at 0 % of its touch; '
+        ) as caught:
+            tradeoff(prototype(), photons=8192, progress=progress)
+        names = {one.name for one in caught.value.result.levels}
+        assert usual <= names and "walls with mass" not in names
 
 
 @pytest.mark.jit
