@@ -14,7 +14,7 @@ from cyclopts import App, CycloptsError, Parameter
 from . import terminal
 from .errors import InputError, NotReachedError, RequirementError, WriteError, exit_message
 from .io import block_dask_import, check_writable, to_json, write_text
-from .options import FormatName, Illuminant, LightFrom, Observer, Over, TraceOptions
+from .options import FormatName, Illuminant, Over, TraceOptions
 from .terminal import finish, say, shown, traced
 from .version import __version__, commit
 
@@ -180,16 +180,8 @@ class View:
     """Held forces, the first to compare with. May be repeated. [N]"""
     illuminant: Illuminant | None = None
     """Daylight, an incandescent lamp, or a white LED."""
-    observer: Observer | None = None
-    """Field of the standard observer, in degrees."""
-    lit_by: Annotated[LightFrom | None, Parameter(name="--light")] = None
-    """Diffuse illumination, or an annulus at 45 degrees."""
-    gloss: bool | None = None
-    """Include specular reflection."""
     tolerance: float | None = None
     """Standard error of the colour at every position (CIEDE2000)."""
-    change_tolerance: float | None = None
-    """Standard error of every change by force (CIEDE2000)."""
 
 
 VIEW = View()
@@ -207,7 +199,6 @@ def colour(
     Args:
         photograph: Render the finger at rest and pressed (some seconds); by default unless --max-seconds is given.
     """
-    from .light.tracing import Ending
     from .report.pages.colour import COLOUR
     from .studies.colour.nail_colour import colour as study, photographs
 
@@ -216,7 +207,7 @@ def colour(
     result, unmet = traced(study, loaded, **vars(view), options=options)
     pictures: list[Any] = []
     try:
-        ended = unmet and (not photograph or str(unmet).startswith(Ending.INTERRUPTED.value))
+        ended = unmet and (not photograph or str(unmet).startswith("interrupted"))
         if not ended and (options.max_seconds is None if photograph is None else photograph):
             with terminal.interruptible() as check:
                 # At rest and under the last force.
@@ -267,16 +258,13 @@ def compare(
 
 
 @app.command
-def place(
-    scene: ScenePath, *, negate_x_on_bottom: Flag = False, verify_with_mitsuba: Flag = False, options: Study = STUDY
-) -> None:
+def place(scene: ScenePath, *, verify_with_mitsuba: Flag = False, options: Study = STUDY) -> None:
     """Rank layouts of LEDs and photodiodes by their force resolution, and search for better ones.
 
     Writes place.nc, ranking.csv, place.html, and the best layout as best.toml, best.csv (KiCad), outline, best.glb
     and best.kicad_pcb: your own board, if the scene's layout came from one, with its parts moved.
 
     Args:
-        negate_x_on_bottom: Write the position file with X negated on the bottom side.
         verify_with_mitsuba: Also read the best layout by stock Mitsuba: minutes per LED, not counted in --max-seconds.
             Run again after an interrupt, it resumes from the store.
     """
@@ -285,7 +273,7 @@ def place(
 
     folder = _results(options.output, scene, PLACEMENT)
     result, unmet = traced(study, _load(scene, options), verify_with_mitsuba=verify_with_mitsuba, options=options)
-    paths = PLACEMENT.write(result, folder, negate_x_on_bottom=negate_x_on_bottom, scene_folder=Path(scene).parent)
+    paths = PLACEMENT.write(result, folder, scene_folder=Path(scene).parent)
     paths |= {name: folder / name for name in PLACEMENT.files if folder / name not in paths.values()}
     finish(paths, *shown(PLACEMENT, result, folder=str(folder)), options.json, unmet, folder)
 

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 LOG_EVERY_S = 10.0
 # Of --max-seconds, the part that is left for starting and for writing the results; the rest bounds the tracing.
 RESERVE = 0.1
-# Of one line on stdin.
-MOST_CHARACTERS = 100_000
 
 
 def say(line: str) -> None:
@@ -57,11 +55,7 @@ def text_lines(stream: TextIO | None) -> Iterator[str]:
     if isinstance(stream, TextIOWrapper):
         stream.reconfigure(encoding="utf-8", errors="replace")
     try:
-        while line := stream.readline(MOST_CHARACTERS):
-            if len(line) == MOST_CHARACTERS:
-                why = "pipe a recording into it."
-                raise InputError(f"stdin: has a line of {MOST_CHARACTERS} characters or more; {why}")
-            yield line
+        yield from stream
     except OSError as error:
         raise InputError(f"stdin: cannot be read: {error.strerror}; pipe a recording into it.") from None
 

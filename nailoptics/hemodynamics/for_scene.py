@@ -279,11 +279,11 @@ class BloodModel:
         return np.clip(np.divide(oxygen, fraction, out=all_arterial, where=fraction > 0), 0.0, 1.0)
 
     def over_touch(
-        self, *, model: Model = "massless", rtol: float = 1e-6, bandwidth_hz: float | None = None, progress: Any = None
+        self, *, model: Model = "massless", rtol: float = 1e-6, bandwidth_hz: float | None = None
     ) -> xr.Dataset:
         """The touch over time and what it does: force, pressures, vessel diameters, and the blood fraction by zone.
 
-        model, rtol, progress : as for `hemodynamics.respond`.
+        model, rtol : as for `hemodynamics.respond`.
         bandwidth_hz : of a stage, to have the `false_forces_n` at the end of the hold, too. [Hz]
         """
         course, moving = self.touch, self.body_waveforms()
@@ -300,7 +300,6 @@ class BloodModel:
             model=model,
             rtol=rtol,
             only_diameters=not self.blood.oxygen_balance,
-            progress=progress,
         ).isel(time=slice(len(before_s), None))
         run = run.drop_vars("zone_position")
         # Zone by zone: of very many samples the arrays between are large.

@@ -1,7 +1,5 @@
 """The response over time to touch and pulse: inputs checked, a model chosen, results labelled; the model with mass."""
 
-from collections.abc import Callable
-from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, Unpack, get_args
 
 import numpy as np
@@ -9,7 +7,6 @@ from numpy.typing import ArrayLike
 
 from ..checks import finite
 from ..errors import InputError, NotReachedError
-from ..statistics import Array
 from ..variables import described
 from . import massless
 from .drive import Drive, waveform_of
@@ -38,7 +35,6 @@ def respond(
     model: Model = "massless",
     rtol: float = 1e-6,
     only_diameters: bool = False,
-    progress: Callable[[float], object] | None = None,
     **pressures: Unpack[Pressures],
 ) -> "xarray.Dataset":
     """What a touch does to the vessels under the nail: their diameters and pressures over time.
@@ -51,7 +47,6 @@ def respond(
         check: it agrees within 1e-5 um and takes many times as long.
     rtol : Allowed error of a step, relative to a diameter. With noisy records 1e-4 is several times as fast. [1]
     only_diameters : Return no pressures, contacts and inputs, which of many samples are most of the memory.
-    progress : Called with the time that walls with mass have come to, again and again; it may raise. [s]
     pressures : as in `Pressures`, in which samples (T,) are linear between times; a waveform has knots of its own and
         jumps, so that no motion depends on time_s.
 
@@ -82,8 +77,7 @@ def respond(
     high, low, *outside = to_channels(first)
     begin = solve_walls(walls, np.array(outside), high, low)[0][:, 0]
     inputs = None if only_diameters and model == "massless" else to_channels(over_time)
-    with_mass = partial(integrate_with_mass, progress=progress)
-    integrate: Any = massless.integrate if model == "massless" else with_mass
+    integrate = massless.integrate if model == "massless" else integrate_with_mass
     run = integrate(walls, drive, time, begin, inputs, rtol=rtol)
     attributes = {"model": model} | {f"parameter_{k}": v for k, v in p.as_dict().items()}
     return _dataset(zones, time, run, None if only_diameters else over_time).assign_attrs(attributes)
@@ -128,7 +122,7 @@ def _dataset(
 
 
 def integrate_with_mass(
-    walls: Walls, drive: Drive, time_s: Array, start_m: Array, inputs: Any, *, rtol: float, progress: Any
+    walls: Walls, drive: Drive, time_s: np.ndarray, start_m: np.ndarray, inputs: Any, *, rtol: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """As `massless.integrate`, of walls with mass, the paper's six-state model, by scipy's Radau.
 
@@ -150,8 +144,6 @@ def integrate_with_mass(
     steps = np.diag(np.repeat([_DIAMETER_STEP, _SPEED_STEP], n))
 
     def jacobian(time: float, state: np.ndarray, pieces: tuple[int, int]) -> np.ndarray:
-        if progress:
-            progress(time)
         sides = [(rates(time, state + e, pieces), rates(time, state - e, pieces), 2.0 * e.sum()) for e in steps]
         return np.stack([(above - below) / distance for above, below, distance in sides], axis=1)
 

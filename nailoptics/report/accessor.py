@@ -81,7 +81,7 @@ class Nail:
     def report(self, path: str | Path | None = None, **options: Any) -> Page | dict[str, Path]:
         """The page, shown in a notebook; or written to a path that ends in .html, or with all files into a folder.
 
-        options : of the files, such as negate_x_on_bottom of a placement's.
+        options : of the files, such as scene_folder of a placement's.
 
         Returns: the page, or the paths of what was written by their role. Raises: WriteError, InputError.
         """

@@ -19,8 +19,6 @@ from ..errors import InputError
 
 # A recording of a million samples has a tenth of it. [bytes]
 MOST_BYTES = 500e6
-# Of TOML, which takes some thirty times as much memory; a recorded touch of a million samples is as long.
-MOST_TOML_BYTES = 40e6
 # What tells a recording from TOML.
 RECORDING = re.compile(r"(?:[ \t]*(?:#[^\n]*)?\n)*[^#=\n]*\btime_s\b[^=\n]*,")
 # Of a whole number; Python writes none that is much longer.
@@ -139,9 +137,6 @@ def parse_toml(text: str, name: str, wanted: str = "") -> dict[str, Any]:
     kind of file than is wanted, of assets/file_kinds.toml."""
     if not isinstance(text, str):
         raise InputError(f"{name}: {short(repr(text))} is not text; give TOML, as a file has it.")
-    if len(text) > MOST_TOML_BYTES:
-        size = f"{len(text) / 1e6:.0f} MB of TOML, more than {MOST_TOML_BYTES / 1e6:g}"
-        raise InputError(f"{name}: has {size}; shorten it.")
     try:
         read = {"time_s": ()} if wanted and RECORDING.match(text) else tomllib.loads(text)
         tables = {key: frozen(value) for key, value in read.items()}

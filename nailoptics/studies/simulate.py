@@ -1,7 +1,6 @@
 """The main job: touch, blood, traced light, volts, beside the paper's Beer-Lambert (8) and Taylor (9)."""
 
 import logging
-import time
 from dataclasses import replace
 from typing import Unpack
 
@@ -12,7 +11,6 @@ from ..assets import read_toml
 from ..errors import InputError, NotReachedError, unless_cut_off
 from ..hemodynamics.for_scene import blood_model, blood_over_touch, hold_end
 from ..light import ProgressCallback, Transfer, backend, section
-from ..light.tracing import Ending
 from ..options import Requested, TraceOptions
 from ..paper.reduced_optics import FIT_SAMPLES, fit_reduced_optics
 from ..scene import Scene, SceneIn, as_scene
@@ -56,12 +54,12 @@ def simulate(
         # A trace that was cut short is followed by none.
         own_traces = scene.priors.own_traces is not False and not unmet
         if options.max_seconds:
-            left_s = begin + options.max_seconds - time.perf_counter()
+            left_s = options.max_seconds - run_time()["wall_seconds"]
             options = replace(options, max_seconds=max(left_s, np.finfo(float).tiny))
         spread = _spread(course, transfer, options, progress, own_traces)
         result = result.merge(spread.dataset(scene))
         if own_traces and (names := ", ".join(prior.name for prior in spread.untraced)):
-            interrupted = spread.why == Ending.INTERRUPTED.value
+            interrupted = spread.why.startswith("interrupted")
             unmet = NotReachedError(f"{spread.why}; priors not traced: {names}.", interrupted=interrupted)
     if (full := result.saturated.any(("led", "time")).values).any():
         how = 'lower leds.flux_mw or electronics.feedback_ohm ("auto" fits it)'

@@ -62,14 +62,13 @@ def test_x_that_may_be_negated_is_a_warning(caplog, places, said, words):
     assert words in caplog.text and bool(words) == ("negate_x_on_bottom = true" in caplog.text)
 
 
-@pytest.mark.parametrize("negated", [False, True])
-def test_what_is_written_is_read_back(tmp_path, negated):
+def test_what_is_written_is_read_back(tmp_path):
     parts = (
         PlacedPart("D1", "led_800", "LED_die", (-1.25, 0.5), 0.0, "bottom"),
         PlacedPart("PD1", "a, b", "PD", (0.3, -2.0), 90.0, "top"),
     )
-    write_positions(tmp_path / "pos.csv", parts, negate_x_on_bottom=negated)
-    assert read_positions(tmp_path / "pos.csv", negate_x_on_bottom=negated) == parts
+    write_positions(tmp_path / "pos.csv", parts)
+    assert read_positions(tmp_path / "pos.csv") == parts
 
 
 @pytest.mark.parametrize("text", ['=1+1","0', "+D1", "-D1", "@SUM(A1)", '2 "inches"', "'plain", "<b>"])

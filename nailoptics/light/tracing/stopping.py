@@ -79,7 +79,6 @@ class TraceProgress:
     an error in that unit. Of studies `led` may name a stage, which may have no error.
 
     limit_s : after which it ends at the latest, as `seconds` counts. [s]
-    number, leds : the LED is this one, from 0, of so many that take about as long.
     """
 
     led: str
@@ -91,13 +90,11 @@ class TraceProgress:
     unit: str = ""
     is_stage: bool = False
     limit_s: float = math.inf
-    number: int = 0
-    leds: int = 1
 
     @property
     def seconds_left(self) -> float:
-        """Time left for this and all further LEDs at the present pace, and within the limit. [s]"""
-        all_s = self.seconds * (self.leds - self.number) / self.fraction_done if self.fraction_done > 0 else math.inf
+        """Time left at the present pace, and within the limit. [s]"""
+        all_s = self.seconds / self.fraction_done if self.fraction_done > 0 else math.inf
         return max(min(all_s, self.limit_s) - self.seconds, 0.0)
 
 
@@ -191,7 +188,7 @@ class LedStoppingCriterion:
     """
 
     def __init__(self, scene: Scene, led: int, required: Accuracy, *, full: int, seconds: float = math.inf) -> None:
-        self.required, self.full, self.seconds, self.led, self.leds = required, full, seconds, led, len(scene.leds)
+        self.required, self.full, self.seconds = required, full, seconds
         self.name, self.photodiodes = scene.leds[led].name, photodiode_names(scene)
         self._at_rest = rest_state(scene, led)
         self._traces: list[LedTrace] = []
@@ -258,9 +255,8 @@ class LedStoppingCriterion:
             # While nothing is known of the error, the end is as far as that of a photodiode that no light reaches.
             known = self.photons / UNLIT_PHOTONS if math.isinf(self.error) else (target / max(self.error, 1e-99)) ** 2
             share = max(share, known)
-        # All that are left have as long.
-        limit_s, so_far = self.seconds * (self.leds - self.led), (self.error, target, min(share, 1.0), seconds)
-        return TraceProgress(self.name, self.photons, *so_far, limit_s=limit_s, number=self.led, leds=self.leds)
+        so_far = (self.error, target, min(share, 1.0), seconds)
+        return TraceProgress(self.name, self.photons, *so_far, limit_s=self.seconds)
 
 
 def check_schedule(batches: int) -> bool:

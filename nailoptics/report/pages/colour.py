@@ -30,11 +30,10 @@ def page(result: xr.Dataset, photographs: Sequence[bytes] = ()) -> str:
         (f"{estimated(last, 'white_band_mm')} mm", f"white band {words}"),
     ]
     photos = [image(data, text) for data, text in zip(photographs, ("At rest.", f"A{words[1:]}."), strict=False)]
-    tiles = TEXTS["tiles"].format(*(significant(result.attrs[f"tile_{of}"], 2) for of in ("size_mm", "stderr")))
     strip = figure(strip_figure(result), TEXTS["strip"])
     body = [
         section("The nail under force", strip, table(_by_force(result)), small(TEXTS["middle"])),
-        section("As a photograph", *photos, small(f"{TEXTS['photograph']} {tiles}")) if photos else "",
+        section("As a photograph", *photos, small(TEXTS["photograph"])) if photos else "",
         section("Along the nail", figure(_along_figure(result), "Colour along the nail; bands: 95 %.")),
         section("Over force", figure(_over_force_figure(result), "What an eye sees; bars: 95 %.")),
         _unknowns(result),

@@ -354,10 +354,9 @@ def _ambient(result: xr.Dataset) -> list[dict[str, str]]:
     return rows
 
 
-def _files(result: xr.Dataset, *, negate_x_on_bottom: bool = False, scene_folder: Path = Path()) -> dict[str, Any]:
+def _files(result: xr.Dataset, *, scene_folder: Path = Path()) -> dict[str, Any]:
     """Contents of the files.
 
-    negate_x_on_bottom : whether X is, in the position file, for parts on the bottom side.
     scene_folder : where the board lies from which the scene's layout came, if it did.
     """
     from ...exports.kicad_board import is_own, own_board, write_new_board
@@ -380,7 +379,7 @@ def _files(result: xr.Dataset, *, negate_x_on_bottom: bool = False, scene_folder
     return {
         "ranking.csv": text.getvalue(),
         "best.toml": scene_text(best, result.attrs),
-        "best.csv": lambda path: write_positions(path, kicad_parts(best), negate_x_on_bottom=negate_x_on_bottom),
+        "best.csv": lambda path: write_positions(path, kicad_parts(best)),
         "outline.dxf": lambda path: write_outline(path, edges),
         "best.kicad_pcb": board,
         "best.glb": lambda path: write_mesh(best, path),

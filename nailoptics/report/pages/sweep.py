@@ -103,14 +103,10 @@ def _others(results: xr.Dataset, name: str) -> dict[Any, int]:
 
 
 def _held(results: xr.Dataset, name: str) -> str:
-    """Where the other axes are held, in words: so2 = 0.85 (one of 3), force_n = 1 N (one of 2)."""
+    """Where the other axes are held, in words: so2 = 0.85, force_n = 1 N."""
     held = {d: results[d][i] for d, i in _others(results, name).items() if d in results.coords}
-    words = []
-    for d, at in held.items():
-        shown = f"{at.item():.4g}" if at.dtype.kind == "f" else str(at.item())
-        unit, count = at.attrs.get("units", "1"), results.sizes[d]
-        words.append(f"{d} = {shown} {unit}".removesuffix(" 1") + (f" (one of {count})" if count > 1 else ""))
-    return ", ".join(words)
+    shown = {d: f"{at.item():.4g}" if at.dtype.kind == "f" else str(at.item()) for d, at in held.items()}
+    return ", ".join(f"{d} = {shown[d]} {at.attrs.get('units', '1')}".removesuffix(" 1") for d, at in held.items())
 
 
 @style.drawing()

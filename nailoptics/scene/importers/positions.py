@@ -217,13 +217,11 @@ def _length_mm(text: str, name: str, where: str, unit_mm: float) -> float:
     return value
 
 
-def write_positions(path: Path, parts: Iterable[PlacedPart], *, negate_x_on_bottom: bool = False) -> None:
+def write_positions(path: Path, parts: Iterable[PlacedPart]) -> None:
     """Write a position file in KiCad's form, formulas of spreadsheets behind an apostrophe; raises WriteError."""
     lines = [",".join(COLUMNS)]
     for part in parts:
-        x, y = part.position_mm
-        x = -x if part.side == "bottom" and negate_x_on_bottom else x
-        numbers = ",".join(f"{value + 0.0:.6f}" for value in (x, y, part.rotation_deg))
+        numbers = ",".join(f"{value + 0.0:.6f}" for value in (*part.position_mm, part.rotation_deg))
         texts = (
             plain_cell(" ".join(text.splitlines())).replace('"', '""') for text in (part.ref, part.value, part.package)
         )

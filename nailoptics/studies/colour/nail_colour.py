@@ -204,7 +204,7 @@ def colour(
             unmet = f"{stage.why} before the spread of colours over unknown fingers."
         else:
             result = result.merge(spread_of_colours(nail, rays, viewer, viewing, seed=options.seed))
-    result.attrs |= _attributes(scene, viewing, options, chosen, rays.photons) | run_time()
+    result.attrs = _attributes(scene, viewing, options, chosen, rays.photons) | run_time()
     return unless_cut_off(result, unmet)
 
 
@@ -260,9 +260,7 @@ def _dataset(scene: Scene, rays: ColourRays, states: Array, viewer: Viewer, view
     )
     coordinates = described(__package__, force_n=viewing.forces_n, v_mm=v_mm, wavelength=WAVELENGTHS_NM)
     names = {"band": ["L*", "a*", "b*"], "channel": ["red", "green", "blue"], "axis": ["u", "v"]}
-    # By the median of the tiles on the finger.
-    seen = stderr_of_colour(lab[:, ALONG:, :-1])[tiles.mean(-1) > MISSED]
-    return xr.Dataset(data, coordinates | names, {"tile_stderr": float(np.median(seen)) if seen.size else np.nan})
+    return xr.Dataset(data, coordinates | names)
 
 
 def spread_of_colours(

@@ -181,10 +181,13 @@ class PairedTracer:
         if self._done and p.fraction_done < 1:
             self._check_time()
         if self.progress:
-            share = min((self._done + (p.number + p.fraction_done) / p.leds) / self.scenes, 1.0)
-            name, spent_s = f"LED {p.led}, trace {self._done + 1} of {self.scenes}", time.perf_counter() - self._start
-            whole = TraceProgress(name, p.photons, p.relative_error, p.target, share, spent_s, is_stage=True)
-            self.progress(replace(whole, limit_s=self.options.max_seconds or math.inf))
+            share = min((self._done + p.fraction_done) / self.scenes, 1.0)
+            name, limit_s = (
+                f"LED {p.led}, trace {self._done + 1} of {self.scenes}",
+                self.options.max_seconds or math.inf,
+            )
+            whole = replace(p, led=name, seconds=time.perf_counter() - self._start, limit_s=limit_s, is_stage=True)
+            self.progress(replace(whole, fraction_done=share))
 
 
 class Estimates(NamedTuple):

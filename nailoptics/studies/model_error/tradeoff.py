@@ -16,7 +16,7 @@ from ...errors import InputError, NotReachedError, unless_cut_off
 from ...hemodynamics.for_scene import blood_over_touch
 from ...hemodynamics.touch import largest_force_n
 from ...light import ProgressCallback, backend as backends, optics
-from ...light.tracing import StageProgress, unlit
+from ...light.tracing import unlit
 from ...light.transfer.series import read_by_groups, read_replicates
 from ...options import Requested, TraceOptions
 from ...scene import Scene, SceneIn, as_scene
@@ -30,9 +30,6 @@ COST_NOISE = 0.1
 REFERENCE, OWN = "full", "the scene itself"
 CHEAPER: dict[str, Changes] = read_toml("cheaper_models.toml")
 FULL: Changes = {"light": {"engine": "auto", "index_steps": True, "similarity": False, "left_out": ()}} | PART_WIDTH
-# Other ways to follow the blood over the touch, by arguments of `blood_over_touch`.
-WITH_MASS = "walls with mass"
-COURSES: dict[str, dict[str, Any]] = {WITH_MASS: {"model": "inertial"}, "vessels to 1e-3": {"rtol": 1e-3}}
 FEWER_SAMPLES = 10
 # Relative change of a reading from the change of the optical depth along its path.
 FORMULAS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
@@ -168,8 +165,7 @@ def tradeoff(
     tolerance : error of an answer, as `Tradeoff` has it.
     photons : of each LED in each trace; or
     relative_error : of the full model's trace, all others having as many photons; or
-    max_seconds : for all levels together, about; 90 if nothing else is requested. Walls with mass, which take many
-        minutes where vessels close, come last, and are left out once that is over, or after 90 s where it is not given.
+    max_seconds : for all levels together, about; 90 if nothing else is requested.
 
     Raises: InputError, also where no backend compiles kernels; NotReachedError where a photodiode saw nothing to
         compare levels by, or, if interrupted, with the Tradeoff as far as it was made as result.
@@ -199,7 +195,6 @@ def tradeoff(
         for name, variant in traced.items():
             levels.append(measured(scene, name, base, tracer.trace(variant)))
         levels.append(other_zones(scene, base, tracer))
-        levels += courses(scene, base, tracer)
     except (NotReachedError, KeyboardInterrupt) as error:
         unmet = f"{str(error).rstrip('.') or 'interrupted'}; {len(levels)} levels were measured before."
 
@@ -271,30 +266,18 @@ def formulas(scene: Scene, base: PairedReadings) -> Iterator[Level]:
         yield replace(measured(scene, f"{name}, traced", base, base), signal=signal)
 
 
-def courses(scene: Scene, base: PairedReadings, tracer: PairedTracer | None = None) -> Iterator[Level]:
-    """Blood of a looser tolerance and of fewer samples; with a tracer that of walls with mass alone, in the time that
-    it has left: signals where blood between samples is off most."""
+def courses(scene: Scene, base: PairedReadings) -> Iterator[Level]:
+    """Blood of a looser tolerance and of fewer samples: signals where blood between samples is off most."""
     full, (unit, stderr) = base.transfer.scene, base.largest_modulation
     usual, usual_s = _timed_course(full)
-    blood, time_s = usual.blood_fraction.values, usual.time.values
-    ways: dict[str, tuple[dict[str, Any], Changes]]
-    ways = {name: (way, {}) for name, way in COURSES.items() if (name == WITH_MASS) == bool(tracer)}
-    if len(time_s) > 2 * FEWER_SAMPLES and not tracer:
+    blood = usual.blood_fraction.values
+    ways: dict[str, tuple[dict[str, Any], Changes]] = {"vessels to 1e-3": ({"rtol": 1e-3}, {})}
+    if usual.sizes["time"] > 2 * FEWER_SAMPLES:
         fewer = {"touch": {"sample_rate_hz": full.touch.sample_rate_hz / FEWER_SAMPLES}}
         ways[f"1 of {FEWER_SAMPLES} samples"] = {}, fewer
-    max_seconds = tracer and tracer.options.max_seconds
-    left_s = tracer.seconds_left if tracer and max_seconds else paired.USUAL_SECONDS
-    stage = StageProgress(tracer.progress if tracer else None, left_s)
-
-    def report(now_s: float) -> None:
-        stage(WITH_MASS, done := float(np.interp(now_s, time_s[[0, -1]], [0, 1])))
-        if stage.seconds_left <= 0:
-            why = stage.why if max_seconds or stage.interrupted else f"{left_s:g} s ended"
-            raise NotReachedError(f'{why} the level "{WITH_MASS}" at {100 * done:.0f} % of its touch')
-
     for name, (way, changes) in ways.items():
-        course, seconds = _timed_course(revised(full, changes), progress=report, **way)
-        other = np.stack([np.interp(time_s, course.time, zone) for zone in course.blood_fraction.values])
+        course, seconds = _timed_course(revised(full, changes), **way)
+        other = np.stack([np.interp(usual.time, course.time, zone) for zone in course.blood_fraction.values])
         farthest = int(np.abs(other - blood).max(0).argmax())
         states = np.stack([blood[:, 0], blood[:, farthest], other[:, farthest]])
         rest, right, wrong = np.moveaxis(read_by_groups(base.transfer, full, states), -1, 0)

@@ -624,13 +624,13 @@ def test_the_command_writes_what_other_programs_read(chosen_jit, tmp_path, capsy
     (tmp_path / "mine.toml").write_text(text)
     out = tmp_path / "out"
     command = ["place", str(tmp_path / "mine.toml"), "-o", str(out), "--photons", str(1 << 18), "--json"]
-    assert run([*command, "--negate-x-on-bottom"]) == 0
+    assert run(command) == 0
     printed = json.loads(capsys.readouterr().out)
     assert {row["layout"] for row in printed["ranking"]} == {"mine", "paper"}
     assert {path.name for path in out.iterdir()} == set(PLACEMENT.files)
     best = load_scene(out / "best.toml")
     areas = list(best.layout.photodiode_areas)
-    back = [part for part in read_positions(out / "best.csv", negate_x_on_bottom=True) if part.kind != "led"]
+    back = [part for part in read_positions(out / "best.csv") if part.kind != "led"]
     assert np.allclose([p.position_mm for p in back], [a.center_mm for a in areas], atol=1e-6)
     assert len(read_outline(out / "best.kicad_pcb").corners_mm) == 4
 
