@@ -132,7 +132,7 @@ def test_a_sweep_of_one_value_is_a_point_and_another_axis_is_named():
     (axes,) = sweep(force_n=[1.0]).plot().axes
     assert axes.get_xlabel() == "force_n [N]" and [*axes.lines[0].get_xdata()] == [1.0]
     (axes,) = sweep(rest_n=[0.1, 0.2], force_n=[1.0, 2.0]).plot().axes
-    assert axes.get_title("left") == "force_n = 2 N (one of 2)"
+    assert axes.get_title("left") == "force_n = 2 N"
     assert sweep(force_n=[1.0]).figures == ("along",) and "photographs" not in repr(sweep(force_n=[1.0]))
     with pytest.raises(nail.InputError, match='"photographs" needs a sweep of study = "colour"'):
         sweep(force_n=[1.0]).plot("photographs")

@@ -194,10 +194,9 @@ def test_bytes_that_are_no_file_of_ours(tmp_path_factory, data):
         ("a = " + "9" * 5000, "not valid TOML: a number has thousands of digits"),
         ("a = 0x" + "f" * 9000, "thousands of digits"),
         ("a = " + "[" * 9000 + "]" * 9000, "nested too deep"),
-        ("#" * 41_000_000, "has 41 MB of TOML, more than 40"),
         ('schema_version = 1\n[finger]\n[[leds]]\nname = "ir"\npart = "' + "x" * 5000 + '"', "is unknown"),
     ],
-    ids=["digits", "hexadecimal", "deep", "long", "name"],
+    ids=["digits", "hexadecimal", "deep", "name"],
 )
 def test_toml_beyond_all_bounds_is_refused(tmp_path, text, words):
     (tmp_path / "s.toml").write_text(text)

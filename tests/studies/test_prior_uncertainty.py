@@ -276,7 +276,7 @@ def test_the_traces_of_all_priors_share_one_time(reread, monkeypatch):
     ):
         now_s[0], options = 0.0, replace(OPTIONS, max_seconds=max_seconds)
         limits.clear()
-        result = readings_over_priors(replace(reread, scene=scene), ends, options=options, own_traces=True)
+        result = readings_over_priors(replace(reread, scene=scene), held_ends, options=options, own_traces=True)
         assert limits == pytest.approx(expected) if max_seconds else limits == expected
         assert [prior.field for prior in result.untraced] == names and result.why == "max_seconds ended"
 

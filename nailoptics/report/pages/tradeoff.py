@@ -74,8 +74,7 @@ def draw(result: Tradeoff) -> "style.Figure":
 
 
 def _names(axes: "style.Axes", places: Sequence[tuple[str, np.ndarray]]) -> None:
-    """Names in a column beside the axes, at least so far apart that each is read, with lines to their places, the
-    shortest together: so none crosses another."""
+    """Names in a column beside the axes, apart, with lines to their places, the shortest together: none cross."""
     from scipy.optimize import linear_sum_assignment
 
     ends = axes.transLimits.transform(np.log10(np.reshape([place for _, place in places], (-1, 2))))

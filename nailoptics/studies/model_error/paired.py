@@ -182,12 +182,10 @@ class PairedTracer:
             self._check_time()
         if self.progress:
             share = min((self._done + p.fraction_done) / self.scenes, 1.0)
-            name, limit_s = (
-                f"LED {p.led}, trace {self._done + 1} of {self.scenes}",
-                self.options.max_seconds or math.inf,
-            )
-            whole = replace(p, led=name, seconds=time.perf_counter() - self._start, limit_s=limit_s, is_stage=True)
-            self.progress(replace(whole, fraction_done=share))
+            spent_s, limit_s = time.perf_counter() - self._start, self.options.max_seconds or math.inf
+            name = f"LED {p.led}, trace {self._done + 1} of {self.scenes}"
+            p = replace(p, led=name, fraction_done=share, seconds=spent_s, limit_s=limit_s, is_stage=True)
+            self.progress(p)
 
 
 class Estimates(NamedTuple):

@@ -17,7 +17,6 @@ from nailoptics.errors import InputError
 from nailoptics.scene.importers.sensor_recordings import recording_csv
 from nailoptics.studies.force.predict import csv_rows, live, predict, predict_live
 from nailoptics.studies.force.subject import Subject, parse_subject, subject_toml
-from nailoptics.terminal import text_lines
 
 NAMES = made_sensor.table().names
 
@@ -181,21 +180,6 @@ def test_times_of_a_clock_keep_all_their_digits(subject: Subject, folder: Path, 
     (folder / "clock.csv").write_text("".join(by_clock))
     for answers in (live(subject, by_clock), csv_rows(predict(subject, folder / "clock.csv"))):
         assert [line.split(",")[0] for line in answers][1:] == times
-
-
-def test_a_line_without_end_is_refused_before_it_fills_the_memory() -> None:
-    class Endless(StringIO):
-        read_characters = 0
-
-        def readline(self, size: int | None = -1, /) -> str:
-            assert size is not None and 0 < size <= 1_000_000
-            self.read_characters += size
-            return "1" * size
-
-    stream = Endless()
-    with pytest.raises(InputError, match="stdin: has a line of 100000 characters"):
-        list(text_lines(stream))
-    assert stream.read_characters <= 1_000_000
 
 
 def _started(folder: Path) -> subprocess.Popen[bytes]:
