@@ -199,14 +199,6 @@ def test_a_plan_with_the_key_of_0_2_0_is_read(used):
     assert (status(used).done, status(used).left) == (30, 0)
 
 
-def test_another_version_is_refused(calm, used):
-    plan = json.loads((used / "plan.json").read_text())
-    plan["made"]["versions"]["nailoptics"] = "0.0.1"
-    (used / "plan.json").write_text(json.dumps(plan))
-    with pytest.raises(InputError, match=r"nailoptics 0\.0\.1 and is .* here"):
-        again(calm, used)
-
-
 def test_a_folder_that_is_removed_ends_the_run(calm, tmp_path):
     folder = tmp_path / "b"
 

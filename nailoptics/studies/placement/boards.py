@@ -33,7 +33,7 @@ DECIMALS = 9
 MOST_LEDS = 4
 # One die in place of an array.
 UNFITTED = {"feedback_ohm": None}
-SINGLE = {"reference": None, "part": None, "wired": None, "elements": 1, "pitch_mm": None} | UNFITTED
+SINGLE = {"reference": None, "part": None, "wired": None, "elements": 1} | UNFITTED
 
 
 def rules(scene: Scene) -> Placement:

@@ -62,7 +62,6 @@ AT = information.OperatingPoint(
 
 
 def photon_map_cache(conditions, *, seed, stream, blocks):
-    # Coarse cells are made sooner; light does not depend on them.
     return photon_maps.PhotonMapCache(conditions, seed, stream, backend="auto", blocks=blocks)
 
 
