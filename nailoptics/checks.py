@@ -136,7 +136,7 @@ def _cure(fault: Any, where: str) -> str:
         return f"; write [[{where}]], in double brackets, for each"
     if isinstance(value, str) and kind in ("float_type", "int_type"):
         return f"; give {f'it in {unit}, ' if unit != '1' else ''}a number without unit and quotes"
-    if kind == "less_than_equal" and unit == "1" and fault["ctx"]["le"] == 1 < value <= 100:
+    if kind == "less_than_equal" and unit == "1" and fault["ctx"]["le"] == 1 and 2 < value <= 100:
         return f"; it is a fraction, not percent: {value:g} % is {value / 100:g}"
     return f"; give it in {unit}" if kind.startswith(("greater_than", "less_than")) and unit != "1" else ""
 

@@ -95,7 +95,8 @@ class Skin:
         scene = scene.model_copy(update=more)
         nail = NailReflectance(scene, backend=self.backend)
         rays = walk_colour(nail, [PAD], photons=RAYS, seed=1)
-        walked = rays.read(np.full((1, nail.zones.count), 0.03), scene.colour, scene=nail.scene).reflectance[0, 0, 0]
+        rest = np.full((1, nail.scene.zone_count), 0.03)
+        walked = rays.read(rest, scene.colour, scene=nail.scene).reflectance[0, 0, 0]
         for name, value in zip(names, usual, strict=True):
             setattr(tissue, name, value)
         self.shape = np.ones(len(NM))

@@ -28,7 +28,7 @@ def test_a_sweep_has_the_results_of_a_batch_and_a_dimension_for_each_field(jit_b
     for name, path, unit in (("so2", "blood.so2", "1"), ("feedback_ohm", "electronics.feedback_ohm", "Ω")):
         assert swept[name].values.tolist() == OVER[path]
         assert swept[name].attrs == {"long_name": path, "units": unit}
-    assert swept.nail.plot().axes[0].get_xlabel() == "so2 [1]" and "4 scenes" in swept.nail.report()
+    assert swept.nail.plot().axes[0].get_xlabel() == "blood.so2 [1]" and "4 scenes" in swept.nail.report()
 
 
 @pytest.mark.jit

@@ -190,7 +190,7 @@ def test_what_cannot_calibrate_is_refused(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["predict", "touch.csv", "touch.csv"], "is not valid TOML"),
+        (["predict", "touch.csv", "touch.csv"], "is a recording, which calibrate and predict take last"),
         (["predict", "none.toml", "touch.csv"], "cannot be read"),
         (["predict", "me.toml", "none.csv"], "cannot be read"),
         (["predict", "me.toml", "touch.csv", "--press", "0.2"], "release = 0.3 N must lie above 0 and below press"),
