@@ -108,7 +108,7 @@ def open_light(
     Raises: NotReachedError with the DetectedLight so far as result.
     """
     options, engine = _options(scene, requested)
-    for line in unseen(scene):
+    for line in unseen_leds(scene):
         log.warning(line)
     if engine == "volpath":
         return _light_by_volpath(scene, np.asarray(states, float), options, progress)
@@ -118,7 +118,7 @@ def open_light(
     return unless_cut_off(light_of(transfer, rest=rest), unmet)
 
 
-def unseen(scene: Scene) -> list[str]:
+def unseen_leds(scene: Scene) -> list[str]:
     """LEDs along whose line a photodiode's responsivity is 0, which its table may not reach, a line for each."""
     return [
         f'photodiode "{diode.name}" does not see LED "{led.name}" of {led.wavelength_nm:g} nm: its responsivity '

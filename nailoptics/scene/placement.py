@@ -14,8 +14,9 @@ from .importers.positions import READING, UNITS_MM, FileUnit, read_positions, wa
 from .parts import BoardFile, Led, Photodiode, Rotation
 from .text_files import read_text
 
-# What layouts can be ranked by.
+# What layouts can be ranked by, and most photodiodes of a searched one.
 Aim = Literal["worst", "mean", "force", "share", "oxygen"]
+MOST_SEARCHED = 32
 
 
 class Candidate(BoardFile):
@@ -122,7 +123,7 @@ class Placement(Table):
     """Names of the scene's LEDs and photodiodes that the search does not move."""
     wire: bool = False
     """Select which elements of the scene's photodiodes and arrays are wired, instead of searching positions."""
-    photodiodes: Annotated[int, Field(ge=1, le=32)] = 8
+    photodiodes: Annotated[int, Field(ge=1, le=MOST_SEARCHED)] = 8
     """Number of photodiodes of a searched layout, including fixed ones; the others are like the scene's first. As many
     as the scene has where it has no [placement]."""
     force_n: Annotated[float, Field(gt=0, le=20)] = 0.5

@@ -128,7 +128,7 @@ def read_volts(lit: WornLight, course: xr.Dataset) -> xr.Dataset:
     scaled = np.broadcast_to(motion * gain / (motion * gain)[..., :1] - 1, fraction.shape)
     volts, volts_stderr, change, noise = (np.empty_like(fraction) for _ in range(4))
     diodes = scene.elements
-    saturated, responsivity_a_per_w = np.empty(fraction.shape, bool), np.empty(fraction.shape[:2])
+    saturated = np.empty(fraction.shape, bool)
     ambient = {} if lit.ambient_a is None else electronics.ambient_in_readings(scene, *lit.ambient_a)
     ambient_a = np.zeros(fraction.shape[1]) if lit.ambient_a is None else lit.ambient_a[0]
     ohm, limit_v = electronics.stage_ohm(diodes, scene.electronics), electronics.limit_v(scene.electronics)
@@ -146,7 +146,6 @@ def read_volts(lit: WornLight, course: xr.Dataset) -> xr.Dataset:
         change_stderr[i, j] = np.where(
             full | full[0], np.where(full, volts_stderr[i, j, 0], volts_stderr[i, j]), of_change
         )
-        responsivity_a_per_w[i, j] = optics.line_response(led, diode).sum()
     data = ambient | about_motion
     data |= described(
         __package__,
@@ -156,7 +155,7 @@ def read_volts(lit: WornLight, course: xr.Dataset) -> xr.Dataset:
         volts_noise_rms=noise,
         saturated=saturated,
         feedback_ohm=ohm,
-        responsivity_a_per_w=responsivity_a_per_w,
+        responsivity_a_per_w=[[optics.line_response(led, diode).sum() for diode in diodes] for led in scene.leds],
         mean_path_mm=Estimate(light.mean_path, light.mean_path_stderr),
         wavelength_nm=[led.wavelength_nm for led in scene.leds],
         zone_of_photodiode=list(scene.zones_of_photodiodes),

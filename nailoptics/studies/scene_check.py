@@ -11,7 +11,7 @@ from ..errors import InputError
 from ..hemodynamics.for_scene import BloodModel, blood_model
 from ..hemodynamics.parameters import far_from_list
 from ..light import backend, optics
-from ..light.detect import rough_readings, unseen
+from ..light.detect import rough_readings, unseen_leds
 from ..scene import Scene, SceneIn, as_scene
 from ..sensor import electronics
 from ..sensor.ambient import ambient_bound_a
@@ -76,7 +76,7 @@ def check(scene: SceneIn) -> SceneCheck:
             name: getattr(scene.board, name) for name in BUILD if name not in scene.board.model_fields_set
         }
     report["warnings"] += boards.misfits(scene) + boards.courtyard_overlaps(scene) + _beyond_the_nail(scene)
-    report["warnings"] += unseen(scene) + far_from_list(scene) + _posture(model := blood_model(scene))
+    report["warnings"] += unseen_leds(scene) + far_from_list(scene) + _posture(model := blood_model(scene))
     blood, pairs = np.maximum(model.over_touch().blood_fraction.values.T, 0.0), list[dict[str, Any]]()
     if backend.choose("auto").jit:
         pairs = _pairs(with_fitted_resistors(scene), blood)

@@ -65,7 +65,12 @@ def test_a_line_is_weighed_by_each_photodiodes_own_responsivity(chosen_jit):
     nm = 800.0 + np.linspace(-100.0, 100.0, 201)
     line = np.exp(-4 * np.log(2) * ((nm - 800.0) / 40.0) ** 2)
     alone = [transfer.traces[0].moments(mu[None], np.ones(1), count=8).fraction for mu in optics.absorption(scene, nm)]
+    at_nodes = optics.absorption(scene, optics.spectrum(led)[0])
+    nodes = [transfer.traces[0].moments(mu[None], np.ones(1), count=8).fraction for mu in at_nodes]
     for j, photodiode in enumerate(scene.elements):
+        of_nodes = optics.line_response(led, photodiode)
+        expected = of_nodes @ np.array(nodes)[:, j]
+        assert of_nodes.sum() * np.array([fraction[j], by_groups[j]]) == pytest.approx(expected, rel=1e-5)
         weight = line / line.sum() * optics.responsivity_a_per_w(photodiode, nm)
         response = optics.line_response(led, photodiode).sum()
         assert response == pytest.approx(weight.sum(), rel=2e-3) and response > 0

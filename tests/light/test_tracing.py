@@ -135,7 +135,7 @@ def test_progress_is_reported_after_every_batch(jit_backend, monkeypatch):
     assert [p.photons for p in first] == [i << 13 for i in range(1, 6)]
     assert [p.fraction_done for p in first] == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0])
     errors = [p.relative_error for p in first]
-    assert errors[-1] < errors[0] < math.inf and reports[-1].seconds_left == 0
+    assert errors[-1] < errors[0] < math.inf and first[-1].seconds_left == 0
     assert all(a.seconds < b.seconds for a, b in itertools.pairwise(first))
 
 

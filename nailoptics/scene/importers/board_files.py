@@ -269,9 +269,8 @@ def _tables(
         x, y = turned(aside, part.rotation_deg)
         place = view.place((part.position_mm[0] + x, part.position_mm[1] + y))
         # Turned over, a part turns the other way, and the row of its elements points down.
-        own_deg = more_deg
-        if part.side == "bottom":
-            own_deg = (180.0 if _elements(fields, folder) > 1 else 0.0) - more_deg
+        flipped_deg = (180.0 if _elements(fields, folder) > 1 else 0.0) - more_deg
+        own_deg = flipped_deg if part.side == "bottom" else more_deg
         angle = view.angle(part.rotation_deg + own_deg)
         drawn: dict[str, Any] = {"name": name, "reference": ref, "position_mm": place, "rotation_deg": angle}
         for room, box in (("body_mm", part.body_mm), ("courtyard_mm", part.courtyard_mm)):

@@ -10,7 +10,7 @@ from ... import hemodynamics, tissue
 from ...errors import InputError, as_far_as_reached, unless_cut_off
 from ...hemodynamics.for_scene import BloodBeat, beat_at, blood_over_touch, heart_rate_per_min, rest_beat
 from ...light import ProgressCallback, Transfer, optics
-from ...light.detect import light_of, unseen
+from ...light.detect import light_of, unseen_leds
 from ...options import Requested, TraceOptions
 from ...scene import Oximeter, Scene, SceneIn, as_scene
 from ...sensor.ambient import LAMP, SUN, trace_ambient
@@ -279,7 +279,7 @@ def _error_variables(
 
 def _warnings(oximeter: CalibratedOximeter, front_end: SampledFrontEnd, path_ratio: Array) -> list[str]:
     scene, nominal = oximeter.transfer.scene, oximeter.nominal
-    lines = unseen(scene) + pulsations.path_warnings(scene, nominal.ratio[0, :, 0], path_ratio)
+    lines = unseen_leds(scene) + pulsations.path_warnings(scene, nominal.ratio[0, :, 0], path_ratio)
     _, full = front_end.slot_volts(nominal.dc[0, ..., 0])
     for name, over in zip(oximeter.transfer.photodiodes, full.T, strict=True):
         if over.any():

@@ -16,6 +16,7 @@ from ...scene.finger import ABSORBING, SCATTERING
 from ...scene.importers.board_files import View
 from ...scene.layout import SIDES, lay_elements, room_of
 from ...scene.parts import DEEPEST_EPOXY_UM, ROOM, check_one_response
+from ...scene.placement import MOST_SEARCHED
 from ...scene.rectangles import Rectangle, has_room
 from ..prior_uncertainty import at_value, draw_people
 
@@ -39,8 +40,8 @@ SINGLE = {"reference": None, "part": None, "wired": None, "elements": 1} | UNFIT
 def rules(scene: Scene) -> Placement:
     """The scene's [placement], or the usual rules for as many photodiodes as it has; where they give no outline, that
     of the board's own file, whose other parts are kept out, too; dies of a module, which do not move, are fixed."""
-    board = scene.board
-    placement = scene.placement or Placement(photodiodes=min(32, len(lay_elements(board, scene.photodiodes)[0])))
+    board, count = scene.board, sum(len(p.wired_elements) for p in scene.photodiodes)
+    placement = scene.placement or Placement(photodiodes=min(MOST_SEARCHED, count))
     taken = shifted(board.taken_mm or (), board.center_mm)
     of_modules = (p.name for p in (*scene.leds, *scene.photodiodes) if p.is_of_module)
     update: dict[str, object] = {"keep_out_mm": (*placement.keep_out_mm, *taken)}
