@@ -139,7 +139,7 @@ def _ranked_by(rules: Placement, first: dict[str, Any]) -> str:
     if "share" in weights:
         others.append(f"that part to {estimated(first, 'share_resolution', 100)} % of the force")
     if "oxygen" in weights:
-        others.append(f"SpO2 to {estimated(first, 'spo2_error_percent')} % over 8 s with the electronics' noise")
+        others.append(f"SpO2 to {estimated(first, 'spo2_error_percent')} % over 8 s by the noise of lit readings alone")
     if not others:
         return ""
     beside = ", beside the force" if {"worst", "mean"} & weights.keys() else ""

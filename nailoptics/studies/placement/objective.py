@@ -254,8 +254,8 @@ class LayoutScore:
     information_per_pa2 : (1 + blocks, fingers, 3) float. Of both pressures, whatever the body does. [Pa^-2]
     responses : by finger and LED, (1 + blocks, photodiodes).
     share : (1 + blocks,) float. Resolution of the proximal share of the force, on the worst finger.
-    spo2_percent : (1 + blocks,) float. Standard error of SpO2 over 8 s on the worst finger; None where it does not
-        rank. [percent]
+    spo2_percent : (1 + blocks,) float. Standard error of SpO2 over 8 s on the worst finger, by lit readings: what
+        `oximeter` has is larger by the dark slot's noise; None where it does not rank. [percent]
     ranked : (1 + blocks,) float. What layouts are ranked by, less is better.
     """
 
