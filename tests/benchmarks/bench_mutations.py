@@ -132,7 +132,7 @@ MUTATIONS = (
         "light/transfer/series.py",
         "slope += part_weight[0] * relative[at, q]",
         "slope += part_weight[0]",
-        "studies/test_compare.py light/test_coverage.py light/test_course.py",
+        "light/test_line_width.py",
     ),
     Mutation(
         "a line is weighed as by a constant quantum efficiency",

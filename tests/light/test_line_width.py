@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 import nailoptics as nail
+from nailoptics import tissue
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.light import optics
-from nailoptics.light.transfer.series import read_by_groups, readings_over_states
+from nailoptics.light.transfer.series import read_by_groups, read_replicates, readings_over_states
 from nailoptics.light.transfer.transfer import rest_state
 from nailoptics.scene import load_scene
 
@@ -77,6 +78,28 @@ def test_a_line_is_weighed_by_each_photodiodes_own_responsivity(chosen_jit):
         assert response * np.array([fraction[j], by_groups[j]]) == pytest.approx(
             weight @ np.array(alone)[:, j], rel=5e-3
         )
+
+
+@pytest.mark.jit
+def test_mean_paths_are_weighted_by_the_bloods_absorption_over_the_line(chosen_jit):
+    """Expected: minus the derivative of ln reading by a zone's blood, by central differences, over the blood's
+    absorption averaged over the line. At 660 nm that falls to a third along a line of 40 nm."""
+    scene = nail.load_scene(data_dir("scenes") / "prototype.toml")
+    led = scene.leds[0].model_copy(update={"wavelength_nm": 660.0, "fwhm_nm": 40.0})
+    scene = scene.model_copy(update={"leds": (led,)})
+    transfer = nail.trace(scene, photons=FEW_PHOTONS, seed=3)
+    wavelength, share = optics.detected_spectrum(led, scene.elements)
+    blood = tissue.blood_mu_a_per_mm(wavelength, scene.blood.so2)
+    rest = optics.absorption(scene, wavelength, so2=scene.blood.so2)
+    step, states = 1e-4, [rest]
+    for zone in optics.bed_columns(scene):
+        for sign in (1, -1):
+            changed = rest.copy()
+            changed[:, zone] += sign * step * blood
+            states.append(changed)
+    reading, path_mm = (one[0] for one in read_replicates(transfer, 0, np.array(states), blood))
+    derivative = np.log(reading[:, 2::2] / reading[:, 1::2]) / (2 * step)
+    assert path_mm == pytest.approx(derivative / (share @ blood)[:, None], rel=1e-4)
 
 
 @pytest.mark.parametrize(("wavelength_nm", "most"), [(410.0, 8), (980.0, 16)])
