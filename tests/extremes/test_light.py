@@ -98,7 +98,7 @@ def test_one_scattering_turns_light_as_henyey_and_greenstein_say(jit_backend, g)
     density = 0.5 * (1 - g * g) / (1 + g * g - 2 * g * cosine) ** 1.5
     back = float(np.trapezoid(density[cosine < 0], cosine[cosine < 0]))
     # Twice scattered light is of second order in the depth, with logarithms from light along the layer.
-    assert meets(result["reflected"], back * depth, floor=4 * depth**2 + 1e-6)
+    assert meets(result["reflected"], back * depth, floor=4 * depth * back * depth)
 
 
 @jit
@@ -110,10 +110,11 @@ def test_a_clear_plate_reflects_as_fresnel_says(jit_backend, n):
 
 @jit
 def test_total_reflection_keeps_light_in_and_all_of_it_leaves_in_the_end(jit_backend):
-    """Nothing absorbs, n 2.5: what is trapped can only leave by scattering, so reflected and transmitted are 1."""
+    """Nothing absorbs, n 2.5: what is trapped can only leave by scattering, as much on either side as adding-doubling
+    says."""
     result = energy(stack({"mu_s_per_mm": 5.0, "n": 2.5}), photons=20_000)
-    assert meets((result["reflected"][0] + result["transmitted"][0], result["lost"][1]), 1.0)
-    assert result["absorbed"][0] == pytest.approx(0, abs=1e-9)
+    assert meets(result["reflected"], adding_doubling(1e-9, 5.0, 0.0, 2.5)[0], floor=6e-4)
+    assert max(result[end][0] for end in ("absorbed", "lost")) < 1e-9 and result["reflected"][1] < 4e-3
 
 
 @jit
@@ -205,14 +206,16 @@ def finger(chosen_jit):
 
 
 @jit
-@pytest.mark.parametrize("so2", [0.0, 1.0])
-@pytest.mark.parametrize("blood", [0.0, 0.1])
-def test_no_blood_and_much_of_it_at_both_ends_of_saturation(finger, blood, so2):
-    rest, read = finger.at(), finger.at(blood_fraction=[blood, blood], so2=so2)
-    assert np.isfinite(read.detected_fraction).all() and (read.detected_fraction_stderr > 0).all()
-    more = read.detected_fraction > rest.detected_fraction
-    assert more.all() if blood == 0 and so2 == 1 else True
-    assert (~more).all() if blood == 0.1 else True
+def test_no_blood_and_much_of_it_at_both_ends_of_saturation(finger):
+    """Expected: a bed without blood is brighter, where only other tissue has a saturation; much dims, and just
+    beyond 797 nm, where both absorb alike, oxygenated blood a little more."""
+    (none, same), (blue, red) = (
+        [finger.at(blood_fraction=[blood, blood], so2=so2).detected_fraction.values for so2 in (0.0, 1.0)]
+        for blood in (0.0, 0.1)
+    )
+    rest = finger.at().detected_fraction.values
+    assert same == pytest.approx(none, rel=1e-3) and (none > rest).all()
+    assert (rest > blue).all() and (blue > red).all() and (red > 0.8 * none).all()
 
 
 @pytest.mark.long
@@ -227,15 +230,17 @@ def test_pure_blood_read_from_a_trace_at_rest_is_that_of_a_new_one(finger):
 
 
 @jit
-@pytest.mark.parametrize("wavelength_nm", [400.0, 1000.0])
-def test_the_ends_of_the_spectrum_are_traced(jit_backend, wavelength_nm):
-    scene = prototype_with()
-    leds = tuple(led.model_copy(update={"wavelength_nm": wavelength_nm}) for led in scene.leds)
-    transfer = nail.trace(scene.model_copy(update={"leds": leds}), photons=30_000)
-    parts = transfer.energy()
-    assert sum(p["value"] for p in parts.values()) == pytest.approx(1) and abs(parts["lost"]["value"]) < 1e-3
-    # Blue light is swallowed by blood and melanin; near 1000 nm more comes back.
-    assert np.isfinite(transfer.at().detected_fraction).all()
+def test_the_ends_of_the_spectrum_are_traced(jit_backend):
+    """Expected: at 400 nm blood and melanin take what comes back at 1000 nm, to the last tenth."""
+    scene, seen = prototype_with(), []
+    for wavelength_nm in (400.0, 1000.0):
+        leds = tuple(led.model_copy(update={"wavelength_nm": wavelength_nm}) for led in scene.leds)
+        transfer = nail.trace(scene.model_copy(update={"leds": leds}), photons=30_000)
+        parts = transfer.energy()
+        assert sum(p["value"] for p in parts.values()) == pytest.approx(1) and abs(parts["lost"]["value"]) < 1e-3
+        seen.append((parts["reflected"]["value"], transfer.at().detected_fraction.values))
+    (blue, blue_seen), (infrared, infrared_seen) = seen
+    assert 0 < blue < 0.1 * infrared and (blue_seen < 0.5 * infrared_seen).all() and (blue_seen > 0).all()
 
 
 @pytest.mark.long

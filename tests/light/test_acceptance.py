@@ -92,7 +92,8 @@ def test_only_the_photodiodes_with_a_narrow_response_read_less(jit_backend):
     first = len(ratio) // 2
     error = (bare.detected_fraction_stderr / bare.detected_fraction).values
     assert np.all(error < 0.025)
-    assert np.all(abs(ratio[:first] - 1) < 1e-6) and np.all(ratio[first:] < 0.8)
+    # Of even radiance 2 / 4.5; near the LED more of the light comes straight.
+    assert np.all(abs(ratio[:first] - 1) < 1e-6) and np.all(abs(ratio[first:] - 0.5) < 0.1)
 
 
 def on_board(*rows: tuple[tuple[float, float], ...] | None) -> Scene:

@@ -209,10 +209,12 @@ def test_map_as_a_dataset_integrates_to_the_light_on_the_board(scene, chosen_jit
     tracer, point = BoardTracer(scene), blood_point(scene, 0)
     one = PhotonMap(scene.layout.outline, values=2 + len(point.beds), spacing_mm=0.5)
     arrivals = tracer.arrivals(0, photons=1 << 17, seed=0)
-    one.add(arrivals, point.values(arrivals))
+    one.add(arrivals, values := point.values(arrivals))
     result = map_dataset([led.name for led in scene.leds], [one])
     assert dict(result.sizes) == {"led": 1, "u": 16, "v": 18, "blood_zone": 2}
-    assert 0.1 < float(result.irradiance.sum()) * 0.25 < 1
+    whole = 0.25 * result.sel(led="ir").sum(("u", "v"))
+    arrived = values[scene.layout.outline.holds(*arrivals.place_mm.T)].sum(0) / (1 << 17)
+    assert np.r_[whole.irradiance, whole.direct, whole.sensitivity] == pytest.approx(arrived, rel=1e-6)
     # The board sends some back, which arrive again.
     assert 0.001 < 1 - len(np.unique(arrivals.photon)) / len(arrivals.photon) < 0.05
     assert bool((result.direct <= result.irradiance + 1e-12).all())

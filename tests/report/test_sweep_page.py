@@ -14,7 +14,7 @@ from nailoptics.batch import write_table
 from nailoptics.report import style
 from nailoptics.report.pages.sweep import page
 
-HOSTILE = ["<script>alert(1)</script>$a_b^{c$ & <b>", '"><img src=x onerror=y>', "</title><svg onload=z>"]
+HOSTILE = ['"><script>alert(1)</script>$a_b^{c$ & <b>', '"><img src=x onerror=y>', '"></title><svg onload=z>']
 FORMULAS = ["=cmd|' /C calc'!A0", "+1+1", "-2+3", "@SUM(A1)", "\t=1", "plain"]
 
 
@@ -47,7 +47,7 @@ def results(names: list[str], *, axis: str = "base") -> xr.Dataset:
 
 def test_names_failures_and_titles_are_text_on_the_page():
     text = page(results(HOSTILE), failures=dict(zip(HOSTILE, HOSTILE, strict=True)))
-    assert not Tags(text).found & {"script", "img", "b>", "onerror", "onload"}
+    assert not Tags(text).found & {"script", "img", "onerror", "onload"}
     assert "&lt;script&gt;alert(1)" in text and "&quot;&gt;&lt;img" in text
 
 

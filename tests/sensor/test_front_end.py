@@ -44,11 +44,12 @@ def test_a_slow_stage_carries_the_slot_before_as_its_time_constant_says():
 
 def test_noise_of_averaged_slots_is_that_of_samples_that_are_drawn():
     """Noise of a first-order stage, drawn sample by sample, averaged over a slot as the converter does."""
-    one, rng = stage(shipped()), np.random.default_rng(5)
-    expected = one.slot_noise_v2(LIGHT)["electronics"][0, 0]
+    one, rng = stage(shipped().with_({"oximeter.hold_pf": 5.0}), ambient_a=1e-6), np.random.default_rng(5)
+    noise_v2 = {cause: float(slots_v2[0, 0]) for cause, slots_v2 in one.slot_noise_v2(LIGHT).items()}
+    expected = noise_v2["electronics"]
     budget = electronics.noise_budget(one.photocurrent_a(LIGHT[0], 0), one.photodiodes, shipped().electronics)
     analog = float((sum(budget) - budget.adc_v2)[0])
-    held = electronics.BOLTZMANN_J_PER_K * 305.0 / 10e-12
+    held = electronics.BOLTZMANN_J_PER_K * 305.0 / 5e-12
     step = np.exp(-np.diff(1e-3 * one.sample_times_ms(2.0))[0] / one.settling_s)
     values = np.sqrt(analog) * rng.standard_normal(200_000)
     total = values.copy()
@@ -57,7 +58,10 @@ def test_noise_of_averaged_slots_is_that_of_samples_that_are_drawn():
         total += values
     drawn = np.var(total / 8) + held / 8
     assert drawn == pytest.approx(expected, rel=0.02)
-    assert expected > analog / 8
+    assert noise_v2["converter"] == pytest.approx(float(budget.adc_v2) / 8)
+    # Shot noise 2qI of 1 uA, averaged as the stage's own.
+    shot_v2 = 2 * electronics.ELEMENTARY_CHARGE_C * 1e-6 * 4e3 * 4e5**2
+    assert noise_v2["ambient light"] == pytest.approx(shot_v2 * (expected - held / 8) / analog)
 
 
 def test_the_error_of_a_ratio_is_that_of_slopes_of_noisy_pulses():

@@ -81,6 +81,8 @@ def test_readings_go_with_the_distance_as_the_moved_light_says():
             return ReadingSeries(0.8 * fraction, 0.01 * fraction, zero, zero)
 
     course = drift_and_motion(scene, time_s)
+    ((name, distance_um, board),) = moved_boards(scene)
+    assert name == "lift" and board.adhesive_um - scene.board.adhesive_um == pytest.approx(distance_um) == 40.0
     factor, data = motion_artefact(course, here, {"lift": (40.0, Lifted())}, np.zeros((4, 2)))
     assert factor[0, 0] == pytest.approx(0.8 ** (course.sensor_lift_um.values / 40.0))
     assert data["lift_per_um"][1] == pytest.approx(np.log(0.8) / 40.0)

@@ -367,12 +367,11 @@ def test_commands_that_read_changes_of_blood_refuse_a_bloodless_bed(command):
 @pytest.mark.jit
 def test_simulate_states_the_false_force_of_what_the_body_does(chosen_jit):
     body = Body(heartbeat=Heartbeat(), hand_height_m=-0.1)
-    worn = quiet(prototype(duration_s=1.0, force_n=0.5)).model_copy(update={"body": body})
+    worn = quiet(prototype(duration_s=1.0, force_n=0.5, release_s=0.8)).model_copy(update={"body": body})
     result = simulate(worn, photons=1 << 13, seed=1)
-    at_hold_n = float(result.force_n.max())
-    assert list(result.disturbance.values) == ["heartbeat", "hand_height_m"]
-    assert float(result.false_force_n[1]) == pytest.approx(blood_model(worn).posture_force_n(at_hold_n), rel=0.02)
-    assert 0 < float(result.false_force_n[0]) < 1
+    at_hold_n, bandwidth_hz = float(result.force_n[hold_end(result)]), worn.electronics.bandwidth_hz
+    expected_n = blood_model(worn).false_forces_n(at_hold_n, bandwidth_hz=bandwidth_hz)
+    assert result.false_force_n.to_series().to_dict() == pytest.approx(expected_n)
 
 
 @pytest.mark.jit

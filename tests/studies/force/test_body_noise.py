@@ -106,12 +106,13 @@ def test_the_heartbeats_rate_and_height_are_found_beside_slow_waves(rate_per_min
     pressure = hemodynamics.cardiac_pressure(
         time_s, pulse_pressure_pa=2e3, rate_per_min=rate_per_min, rate_variability=0.05, seed=4
     )
+    beats_pa = float(pressure.std())
     pressure += hemodynamics.vasomotion_pressure(time_s, amplitude_pa=600.0, seed=4)
     rate_hz = beats_per_second(time_s, pressure)
-    assert rate_hz == pytest.approx(rate_per_min / 60.0, rel=0.06)
+    assert rate_hz == pytest.approx(rate_per_min / 60.0, rel=0.03)
     frequency = np.fft.rfftfreq(time_s.size, STEP_S)
     power = 2 * STEP_S / time_s.size * np.abs(np.fft.rfft(pressure - pressure.mean())) ** 2
     beat = _heartbeat(rate_hz, frequency, power)
-    # A pulse of 2 kPa from top to bottom.
-    assert beat is not None and 400.0 < np.hypot.reduce(beat.rms_pa) < 1000.0
+    # Of six seeds 3 to 4 % lie beside the harmonics.
+    assert beat is not None and np.hypot.reduce(beat.rms_pa) == pytest.approx(beats_pa, rel=0.06)
     assert _heartbeat(rate_hz, frequency, 1e-6 * power) is None

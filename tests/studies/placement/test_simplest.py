@@ -104,21 +104,42 @@ def test_the_error_of_a_resolution_is_that_of_what_lies_above_the_bodys_own(floo
     assert objective.resolution_stderr_n(whole_n, floor_n) == pytest.approx(jackknife(whole_n), rel=0.01)
 
 
+def score(value, blocks):
+    """Of a layout, from the blocks' departures from its value."""
+    replicates = value * (1 + np.append(0.0, blocks / (len(blocks) - 1)))
+    return objective.LayoutScore(*[None] * 6, None, replicates)
+
+
 def test_ties_are_by_the_difference_in_which_shared_noise_cancels():
     """Layouts 5 % apart with errors of 10 % that they share are distinguished; with errors of their own they tie, and
     so do layouts 1 % apart that are known exactly, and 3 % apart with an error of 1 %; 3 % apart, and exact, do not."""
-    rng, count = np.random.default_rng(0), 16
-
-    def score(value, blocks):
-        replicates = value * (1 + np.append(0.0, blocks / (count - 1)))
-        return objective.LayoutScore(*[None] * 6, None, replicates)
-
-    shared, own = 0.4 * rng.standard_normal((2, count))
+    shared, own = 0.4 * np.random.default_rng(0).standard_normal((2, 16))
     assert objective.ties([score(1.05, shared), score(1.0, shared)]).tolist() == [False, True]
     assert objective.ties([score(1.05, own), score(1.0, shared)]).tolist() == [True, True]
     assert objective.ties([score(1.0, 0 * own), score(1.01, 0 * own)]).tolist() == [True, True]
     assert objective.ties([score(1.0, 0 * own), score(1.03, 0.1 * own)]).tolist() == [True, True]
     assert objective.ties([score(1.0, 0 * own), score(1.03, 0 * own)]).tolist() == [True, False]
+
+
+def test_the_simplest_of_those_that_tie_within_four_percent_comes_first(monkeypatch):
+    """Expected: of four layouts that their noise lets tie not the best nor the simplest, which is 4.1 % worse."""
+    layouts = [
+        SimpleNamespace(
+            scene=SimpleNamespace(layout=SimpleNamespace(photodiode_areas=[])), board=k, complexity=(parts,)
+        )
+        for k, parts in enumerate((9, 2, 3, 4))
+    ]
+    noise = np.random.default_rng(0).normal(size=(4, 16))
+    scores = [score(value, noise[k]) for k, value in enumerate((1.0, 1.041, 1.039, 1.01))]
+    cache = SimpleNamespace(
+        traced_board=lambda board: SimpleNamespace(areas=[], photons=1), read=lambda scene, board, points: scores[board]
+    )
+    monkeypatch.setattr(objective, "_extend", lambda *_: True)
+    monkeypatch.setattr(objective, "scores_of", lambda read, _: read)
+    how = {"objective": SimpleNamespace(points=[None]), "relative_error": 0.01, "report_progress": StageProgress(None)}
+    ranked, of_ranked, unmet = objective.score_layouts(layouts, cache, photons=1, **how)
+    assert [layout.board for layout in ranked] == [2, 0, 3, 1] and of_ranked[0] is scores[2]
+    assert unmet is None
 
 
 def test_layouts_of_which_none_resolves_anything_are_refused_in_a_line():
