@@ -1,6 +1,7 @@
 """What a scene models and leaves out: which effects matter, and how sure that is."""
 
 import json
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -87,12 +88,12 @@ def test_the_lines_that_leave_out_the_needless_make_the_required_scene(computed)
     lines = lines_of(merged(computed.needless))
     assert all(f"  {line}" in explanation_lines(computed) for line in lines)
     assert "[[leds]] fwhm_nm = 0.0" in lines
-    tables = {"[finger]": 'digit = "index"', "[[leds]]": 'part = "led_800"', "[light]": "[light]"}
     text = TEXT.split("[light]")[0].replace("fwhm_nm = 0.0\n", "")
     text += "[light]\n[accuracy]\nrelative_error = 0.02\n"
-    for line in lines:
+    length = WHOLE["finger"]["length_mm"]
+    for line in [f"[finger] length_mm = {length}", *lines]:
         table, pasted = line.split(" ", 1)
-        text = text.replace(tables[table], f"{tables[table]}\n{pasted}")
+        text = re.sub(rf"^{re.escape(table)}.*", rf"\g<0>\n{pasted}", text, flags=re.MULTILINE)
     assert parse_scene(text).model_dump() == computed.required.model_dump()
     assert computed.together.matters == "no" and computed.together.bound <= computed.tolerance
 
