@@ -52,6 +52,18 @@ def effective_count(total: ArrayLike, square: ArrayLike) -> Array:
     return np.divide(total**2, square, out=np.zeros_like(total), where=square > 0)
 
 
+def tail_index(values: Array) -> float:
+    """Tail index xi of values (n,), of which a part t^(-1/xi) exceeds a large t: below 1/2 their variance is finite. By
+    Hill's estimator of the largest 3 sqrt(n) of those above 0, a fifth of them at most; 0 of fewer than five.
+
+    References: Hill 1975, Ann. Stat. 3, 1163; Vehtari et al. 2024, J. Mach. Learn. Res. 25(72), 1.
+    """
+    values = values[values > 0]
+    count = int(min(len(values) / 5, 3 * math.sqrt(len(values))))
+    largest = np.partition(values, -count - 1)[-count - 1 :] if count else np.ones(1)
+    return float(np.log(largest / largest[0]).sum() / max(count, 1))
+
+
 def stderr_or_nan(stderr: ArrayLike, total: ArrayLike, square: ArrayLike) -> Array:
     """The standard error of a sum; NaN of fewer than `MIN_EFFECTIVE_TERMS` effective terms. All of one shape."""
     return np.where(effective_count(total, square) < MIN_EFFECTIVE_TERMS, np.nan, stderr)

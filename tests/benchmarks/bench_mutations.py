@@ -156,6 +156,13 @@ MUTATIONS = (
         "light/test_course.py",
     ),
     Mutation(
+        "weights with a heavy tail warn of nothing",
+        "light/transfer/transfer.py",
+        "if (thin | heavy).any():",
+        "if thin.any():",
+        "light/test_transfer.py",
+    ),
+    Mutation(
         "errors of several LEDs' light add up",
         "light/transfer/transfer.py",
         "np.linalg.norm(errors) / len(errors)",

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...assets import WAVELENGTH_RANGE_NM
 from ...errors import InputError
-from ...geometry import Face, Geometry
+from ...geometry import Geometry
 from ...scene import Led, Phantom
 from ..optics import Media
 
@@ -309,7 +309,8 @@ def finger_scene(
             elif above == epoxy and below in looking:
                 inside = {"medium": {"type": "ref", "id": refs[epoxy]}} if refs[epoxy] else {}
                 meter = {"sensor": {"type": "irradiancemeter", "film": RGB_FILM} | inside}
-                facing = _facing(geometry, triangles, looking[below])
+                # Those of the face towards the nail, not of the sides.
+                facing = (geometry.normals(triangles) @ looking[below].normal.T).max(axis=1) > 0.5
                 _write_mesh(geometry, triangles[facing], folder / f"{below}.ply")
                 scene[f"face_{below}"] = {"type": "ply", "filename": str(folder / f"{below}.ply")} | shape
                 scene[f"face_{below}"] |= meter if below == sensor else {"emitter": emitter(emitters[below])}
@@ -349,11 +350,6 @@ def _inside(
         if made:
             scene[f"medium_{region}"] = made
     return scene, refs
-
-
-def _facing(geometry: Geometry, triangles: np.ndarray, face: Face) -> NDArray[np.bool_]:
-    """Which triangles of a part belong to the face towards the nail, not to the sides, (n,) bool."""
-    return np.asarray((geometry.normals(triangles) @ face.normal.T).max(axis=1) > 0.5)
 
 
 def _write_mesh(geometry: Geometry, triangles: np.ndarray, file: Path) -> None:

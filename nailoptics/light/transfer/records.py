@@ -64,7 +64,7 @@ class Moments:
     path: np.ndarray  # (p, r)
     path_square: np.ndarray  # (p, r)
     path_cross: np.ndarray  # (p, r): sum of w^2 L
-    fourth: np.ndarray  # (p,): sum of w^4
+    tail_index: np.ndarray  # (p,): of w
 
     @property
     def fraction(self) -> np.ndarray:
@@ -81,11 +81,6 @@ class Moments:
     def effective_photons(self) -> np.ndarray:
         """Effective number of detected photons (sum w)^2 / sum w^2, (p,)."""
         return statistics.effective_count(self.weight, self.square)
-
-    @property
-    def error_photons(self) -> np.ndarray:
-        """Effective number of photons that the standard error rests on (sum w^2)^2 / sum w^4, (p,)."""
-        return statistics.effective_count(self.square, self.fourth)
 
     @property
     def mean_path(self) -> tuple[np.ndarray, np.ndarray]:
@@ -114,8 +109,10 @@ def moments_of(photons: int, photodiode: np.ndarray, weight: np.ndarray, path_mm
     weighted = (weight * column for column in path_mm.T)
     paths = np.array([(total(one), total(one * one), total(weight * one)) for one in weighted])
     path, path_square, cross = paths.reshape(-1, 3, count).transpose(1, 2, 0)
-    square = weight * weight
-    return Moments(photons, total(weight), total(square), path, path_square, cross, total(square * square))
+    first = np.cumsum(np.bincount(where, minlength=count))[:-1]
+    each = np.split(weight[np.argsort(photodiode, kind="stable")], first)
+    tail_index = np.array([statistics.tail_index(one) for one in each])
+    return Moments(photons, total(weight), total(weight * weight), path, path_square, cross, tail_index)
 
 
 @dataclass(frozen=True)

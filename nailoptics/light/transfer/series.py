@@ -24,12 +24,10 @@ INTERPOLATION_ERROR = 1e-7
 NODES_AT_ONCE = 64
 # States interpolated at once: their weights on the nodes fill the cache, not the memory.
 STATES_AT_ONCE = 1 << 13
-# Photons read at once: their weights at all nodes fill the processor's cache, not the memory.
+# Photons read at once: their weights in all states fill the processor's cache, not the memory.
 CHUNK = 4096
 # Groups of photons that are left out in turn.
 GROUPS = 40
-# Photons read at once in groups; with a few hundred states their weights fill the processor's cache, not the memory.
-GROUP_CHUNK = 8192
 
 
 @dataclass(frozen=True)
@@ -55,8 +53,8 @@ def readings_over_states(transfer: Transfer, blood_fraction: np.ndarray) -> Read
 
     blood_fraction : (t, K) float in 0-1. Blood of each zone in each state; of single precision, readings are, too.
 
-    Warns: ReweightWarning where fewer than 400 effective photons stand behind a reading of some state, or fewer than 25
-    behind the standard error of one that is brighter than the traced state.
+    Warns: ReweightWarning where fewer than 400 effective photons stand behind a reading of some state, or where, in one
+    that is brighter than the traced state, a few long paths outweigh all others.
     """
     states = np.asarray(blood_fraction)
     states = states if states.dtype == np.float32 else states.astype(float, copy=False)
@@ -73,7 +71,7 @@ def readings_over_states(transfer: Transfer, blood_fraction: np.ndarray) -> Read
     # Of n equal photons the relative error is 1 / sqrt(n).
     effective = np.nan_to_num(np.square(quotient(fraction, stderr)), nan=np.inf).min(-1)
     # Where there is least blood, single long paths weigh most.
-    transfer.warn_of_low_effective_sample_size(effective, transfer.moments_at(np.min(blood_fraction, 0)))
+    transfer.warn_of_unreliable_weights(effective, transfer.moments_at(np.min(blood_fraction, 0)))
     return ReadingSeries(*course.out)
 
 
@@ -246,7 +244,7 @@ def read_replicates(
     zones, count = list(optics.bed_columns(transfer.scene)) if paths else [], len(transfer.photodiodes)
     sums = np.zeros((len(mu_a) + len(zones), count * GROUPS))
     # As many at once as there are sums, or more: adding these up takes no longer than the records.
-    step = max(GROUP_CHUNK, count * GROUPS)
+    step = max(CHUNK, count * GROUPS)
     for start in range(0, len(trace.weight), step):
         chunk = slice(start, start + step)
         lengths = trace.path_mm[chunk].astype(float)
