@@ -269,6 +269,7 @@ def formulas(scene: Scene, base: PairedReadings) -> Iterator[Level]:
 def courses(scene: Scene, base: PairedReadings) -> Iterator[Level]:
     """Blood of a looser tolerance and of fewer samples: signals where blood between samples is off most."""
     full, (unit, stderr) = base.transfer.scene, base.largest_modulation
+    blood_over_touch(full)  # the first one of a process imports and compiles
     usual, usual_s = _timed_course(full)
     blood = usual.blood_fraction.values
     ways: dict[str, tuple[dict[str, Any], Changes]] = {"vessels to 1e-3": ({"rtol": 1e-3}, {})}

@@ -111,13 +111,10 @@ def _curve(name: str, text: str, units: str, values: Array, bias: Array, stderr:
 
 def _sunlight(oximeter: CalibratedOximeter, front_end: SampledFrontEnd, sun_a: Array) -> tuple[Array, Array]:
     """Bias by sunlight where no dark reading is taken away: it adds to what is steady."""
-    nominal, ratios = oximeter.nominal, []
-    steady = nominal.dc[..., 0]
-    level_a = np.stack([front_end.photocurrent_a(steady[:, k], led) for k, led in enumerate(front_end.leds)], 1)
-    for lux in SUN_LUX:
-        diluted = nominal.perfusion_index[..., 0] * level_a / (level_a + sun_a * lux / SUN_LUX[-1])
-        ratios.append(diluted[:, 0] / diluted[:, 1])
-    return oximeter.bias(np.stack(ratios, -1))
+    lit = zip(np.moveaxis(oximeter.nominal.dc, 1, 0), front_end.leds, strict=True)
+    level_a = np.stack([front_end.photocurrent_a(dc[..., 0], led)[..., None] for dc, led in lit], 1)
+    diluted = oximeter.nominal.perfusion_index * level_a / (level_a + sun_a[:, None] * SUN_LUX / SUN_LUX[-1])
+    return oximeter.bias(diluted[:, 0] / diluted[:, 1])
 
 
 def _with_lines(scene: Scene, which: tuple[int, int], *, fwhm_nm: float | None = None, shift_nm: float = 0.0) -> Scene:
