@@ -19,6 +19,7 @@ from pydantic import ConfigDict, Field
 from ..checks import as_input_error
 from ..errors import InputError
 from ..io import CorruptError, check_writable, make_folder, plain_cell, unpack, write_bytes, write_text
+from ..light.tracing.store import program_digest
 from ..light.transfer import current_versions
 from ..scene import Accuracy
 from ..scene.base import Table
@@ -33,7 +34,7 @@ FORMAT = 3
 STORAGE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO, errno.ESTALE}
 _SCENE = "the scene"  # a dimension that no result has
 # Results that are made again, and why.
-DAMAGE = {"corrupt": "damaged (checksum, name or content)", "foreign": "another seed's, backend's or version's"}
+DAMAGE = {"corrupt": "damaged (checksum, name or content)", "foreign": "another seed's, backend's or program's"}
 
 
 class PlanError(InputError):
@@ -46,17 +47,21 @@ class Provenance(Table):
     seed: int
     backend: str
     versions: dict[str, str | None]
+    program: str = "unknown"  # as of earlier ones
 
-    def unlike(self, other: "Provenance") -> str:
-        """What of another is not as here, in words; empty where all is the same."""
-        then, now = ({"seed": made.seed, "backend": made.backend, **made.versions} for made in (self, other))
+    @classmethod
+    def here(cls, seed: int, backend: str) -> "Provenance":
+        """What decides results in this process; its program is all code and what that may read."""
+        # A wheel has the assets in the package, as _assets.
+        program = program_digest(("*.py", "[!_]*/**/*.py"), ("**/*.toml", "**/*.csv"))[:12]
+        return cls(seed=seed, backend=backend, versions={**current_versions()}, program=program)
+
+    def unlike(self, other: "Provenance", *, program: bool = True) -> str:
+        """What of another is not as here, in words; empty where all is the same. program : whether that counts."""
+        left_out = {"versions"} if program else {"versions", "program"}
+        then, now = (made.versions | made.model_dump(exclude=left_out) for made in (self, other))
         moved = (name for name in now if then.get(name) != now[name])
         return ", ".join(f"{name} {then.get(name)} and is {now[name]} here" for name in moved)
-
-    @property
-    def other_versions(self) -> str:
-        """Which versions are others than here, in words; empty where they are the same."""
-        return self.unlike(self.model_copy(update={"versions": dict(current_versions())}))
 
 
 class Plan(Table):
@@ -133,15 +138,15 @@ class Folder:
     def read(self, digest: str, made: Provenance) -> tuple[str, dict[str, Any], xr.Dataset]:
         """State of a scene, and header and dataset of its result, which are empty unless that is done.
 
-        The state is done, failed, missing, corrupt (not what a run writes), or foreign: made with another seed, backend
-        or version. Raises OSError where the disk is at fault.
+        The state is done, failed, missing, corrupt (not what a run writes), or foreign: made with another seed,
+        backend, version or program. Raises OSError where the disk is at fault.
         """
         state = "missing"
         try:
             header, arrays = unpack(self.result(digest).read_bytes())
             if header["digest"] != digest:
                 raise CorruptError("it belongs to another scene")
-            if header["made"] != made.model_dump():
+            if Provenance(**header["made"]) != made:
                 return "foreign", {}, xr.Dataset()
             return "done", header, from_record(header, arrays)
         except FileNotFoundError:
@@ -222,14 +227,17 @@ def status(folder: str | Path) -> Status:
     place = Folder(Path(folder))
     plan = place.read_plan()
     required = dict(zip(plan.scenes, plan.required, strict=True))
-    states = {digest: place.state(digest, accuracy, plan.made) for digest, accuracy in required.items()}
+    now = Provenance.here(plan.made.seed, plan.made.backend)
+    other_versions = plan.made.unlike(now, program=False)
+    made = plan.made if other_versions else now  # what another program made is made again
+    states = {digest: place.state(digest, accuracy, made) for digest, accuracy in required.items()}
     count = Counter(states.values())
     return Status(
         total=len(required),
         traces=plan.traces,
         **{state: count[state] for state in ("done", "below", "corrupt", "foreign")},
         failed={digest: place.why_failed(digest) for digest, state in states.items() if state == "failed"},
-        other_versions=plan.made.other_versions,
+        other_versions=other_versions,
     )
 
 
@@ -237,11 +245,12 @@ def open_results(folder: str | Path, *, course: bool = False) -> xr.Dataset:
     """All results of a batch as one dataset, with the sweep's axes as its first dimensions and as coordinates.
 
     Scenes without a result of this batch are NaN (numbers), False, empty text or black (photographs); `state` says why:
-    missing, failed, corrupt, or foreign, which is another seed's, backend's or version's.
+    missing, failed, corrupt, or foreign, which is another seed's, backend's, version's or program's. So is what a
+    scene lacks of others' zones, times, LEDs or photodiodes.
 
-    course : also what runs over time (volts, blood, force), for which the scenes must share their times.
+    course : also what runs over time (volts, blood, force).
 
-    Raises: InputError where the folder holds no batch, or its scenes do not fit one dataset.
+    Raises: InputError where the folder holds no batch.
     """
     place = Folder(Path(folder))
     plan = place.read_plan()
@@ -251,7 +260,7 @@ def open_results(folder: str | Path, *, course: bool = False) -> xr.Dataset:
     for state, why in DAMAGE.items():
         if count := states.count(state):
             log.warning("%s: %d results are %s and left out; run the batch again", place.root, count, why)
-    if moved := plan.made.other_versions:
+    if moved := plan.made.unlike(Provenance.here(plan.made.seed, plan.made.backend)):
         log.warning("%s: was made with %s", place.root, moved)
     scenes = {
         i: _of_scene(header, dataset, axes, course)
@@ -286,14 +295,14 @@ def _of_scene(header: dict[str, Any], dataset: xr.Dataset, axes: set[str], cours
 
 
 def _joined(scenes: dict[int, xr.Dataset], count: int) -> xr.Dataset:
-    """The datasets of scenes, by their numbers among so many, as one; raises InputError where they do not fit."""
-    how: Any = {"data_vars": "all", "coords": "minimal", "compat": "equals", "join": "exact"}
-    try:
-        joined = xr.concat(scenes.values(), xr.Variable(_SCENE, list(scenes)), combine_attrs="override", **how)
-    except ValueError as error:
-        why = f"{str(error).splitlines()[0]}; sweep scenes with the same names, as many of each and the same times."
-        raise InputError(f"the scenes of this batch make no one dataset: {why}") from None
-    empty = {name: {"b": False, "U": "", "u": 0}.get(variable.dtype.kind, np.nan) for name, variable in joined.items()}
+    """The datasets of scenes, by their numbers among so many, as one; what a scene lacks of others' is empty."""
+    found, fills = [pair for scene in scenes.values() for pair in scene.items()], {"b": False, "U": "", "u": 0}
+    empty: Any = {name: fills.get(one.dtype.kind, np.nan) for name, one in found}
+    counted = {str(d): n for scene in scenes.values() for d, n in scene.sizes.items() if d not in scene.indexes}
+    alike = [scene.assign_coords({d: range(scene.sizes[d]) for d in counted}) for scene in scenes.values()]
+    how: Any = {"data_vars": "all", "coords": "minimal", "compat": "equals", "join": "outer"}
+    how |= {"combine_attrs": "override", "fill_value": empty}
+    joined = xr.concat(alike, xr.Variable(_SCENE, list(scenes)), **how).drop_vars(counted)
     return joined.reindex({_SCENE: range(count)}, fill_value=empty)
 
 

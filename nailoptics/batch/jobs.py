@@ -12,11 +12,9 @@ import traceback
 import warnings
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Unpack
-
-import numpy as np
+from typing import Unpack
 
 from ..errors import InputError, NailopticsError, WriteError
 from ..io import pack, write_bytes
@@ -24,7 +22,6 @@ from ..light import ReweightWarning, backend as backends
 from ..light.identity import light_digest, traced_absorption
 from ..light.tracing import accuracy
 from ..light.tracing.store import LightStore
-from ..light.transfer import current_versions
 from ..options import Requested, TraceOptions
 from ..scene import Accuracy, Scene, digest, to_toml
 from ..scene.sweep import StudyName, Sweep
@@ -43,6 +40,7 @@ class Settings:
     """What all jobs of a batch share, with the end of the run's time (deadline, in seconds since the epoch).
 
     sharers : workers among which a machine's cores are to be divided, if that has not been done.
+    made : what decides the results beside their scenes, where they are planned.
     """
 
     folder: Path
@@ -50,6 +48,10 @@ class Settings:
     deadline: float | None = None
     study: StudyName = "simulate"
     sharers: int = 0
+    made: Provenance = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "made", Provenance.here(self.options.seed, self.options.backend))
 
     @classmethod
     def of(cls, folder: Path, options: TraceOptions, study: StudyName = "simulate") -> "Settings":
@@ -67,15 +69,11 @@ class Settings:
     def options_of(self, scene: Scene) -> TraceOptions:
         """The options of a scene's study, which takes no longer than the run has left."""
         requested = self.options.photons or self.options.relative_error
-        required = scene.accuracy if STUDIES[self.study].own_light and not requested else self.required(scene)
+        required = scene.accuracy if STUDIES[self.study].own_accuracy and not requested else self.required(scene)
         if self.deadline is not None:
             left = max(self.deadline - time.time(), 1e-3)
             required = required.model_copy(update={"max_seconds": min(left, required.max_seconds or left)})
         return replace(self.options, **required.model_dump())
-
-    def made(self) -> Provenance:
-        """What decides a scene's result beside the scene and how accurate it is to be."""
-        return Provenance(seed=self.options.seed, backend=self.options.backend, versions=dict(current_versions()))
 
     def is_late(self) -> bool:
         """Whether the run's time is over."""
@@ -99,8 +97,7 @@ def jobs_of(sweep: Sweep, settings: Settings) -> list[Job]:
         # Another study of the same scene is another result.
         scene_id = digest(scene)
         scene_id = scene_id if study == "simulate" else hashlib.sha256(f"{study} {scene_id}".encode()).hexdigest()
-        key = f"{light_digest(traced or scene)}{study if STUDIES[study].own_light else ''}"
-        jobs.append(Job(scene_id, key, scene, traced))
+        jobs.append(Job(scene_id, light_digest(traced or scene), scene, traced))
     return jobs
 
 
@@ -129,7 +126,7 @@ def plan_of(sweep: Sweep, jobs: Sequence[Job], settings: Settings) -> Plan:
         study=settings.study,
         dims=dict(sweep.dims),
         axes=sweep.axes,
-        made=settings.made(),
+        made=settings.made,
         scenes=tuple(job.digest for job in jobs),
         required=tuple(settings.required(job.scene) for job in jobs),
         traces=len({job.key for job in jobs}),
@@ -147,7 +144,7 @@ def check_same(folder: Folder, jobs: Sequence[Job], settings: Settings) -> None:
         if (folder.root / "plan.json").exists():
             log.warning("plan.json was damaged and is written anew: %s", error)
         return
-    if unlike := old.made.unlike(settings.made()):
+    if unlike := old.made.unlike(settings.made, program=False):
         raise InputError(f"{folder.root}: was begun with {unlike}; use the same, or another folder.")
     if others := len(set(old.scenes) - {job.digest for job in jobs}):
         why = f"{others} of its {len(old.scenes)} scenes are not in this one; use another folder."
@@ -190,43 +187,37 @@ def work(job: Job, settings: Settings) -> tuple[str, str]:
 
 def _study(job: Job, settings: Settings) -> str:
     """Study a scene and write its result: done, or unmet; or unfinished, with nothing written."""
-    folder, made = Folder(settings.folder), settings.made()
-    if folder.state(job.digest, settings.required(job.scene), made) == "done":
+    folder, made = Folder(settings.folder), settings.made
+    if unlike := made.unlike(Provenance.here(made.seed, made.backend)):
+        raise InputError(f"planned with {unlike}, in the worker; give it the same installation and try again")
+    required = settings.required(job.scene)
+    if folder.state(job.digest, required, made) == "done":
         return "done"
     if settings.is_late():
         return "unfinished"
-    header, arrays = _result(job, settings)
-    timed = not {"photons", "relative_error"} & header["required"].keys()
-    if settings.is_late() and (timed or not header["reached"]):
+    # What single commands traced is read, too.
+    stores = [LightStore(settings.folder / "light"), *LightStore.of_command(settings.options)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ReweightWarning)
+        options = settings.options_of(job.scene)
+        dataset, photons, reached = STUDIES[settings.study].run(job.scene, options, stores, job.traced)
+    if settings.is_late() and not (reached and (required.photons or required.relative_error)):
         return "unfinished"
     path = folder.result(job.digest)
     if path.is_dir():
         raise InputError(f"{path}: is a folder where a result is to be written; remove it")
     if not path.parent.is_dir():  # it was removed meanwhile, with what was done before
         raise WriteError(f"{path.parent}: is gone; run again to make all scenes anew")
-    write_bytes(path, pack({"digest": job.digest, "made": made.model_dump()} | header, arrays))
-    folder.failure(job.digest).unlink(missing_ok=True)
-    return "done" if header["reached"] else "unmet"
-
-
-def _result(job: Job, settings: Settings) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Header and arrays of a scene's result."""
-    # What single commands traced is read, too.
-    stores = [LightStore(settings.folder / "light"), *LightStore.of_command(settings.options)]
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", ReweightWarning)
-        options = settings.options_of(job.scene)
-        dataset, photons, reached = STUDIES[settings.study].run(job.scene, options, stores, job.traced)
-    worst = relative_error(dataset)
-    header, arrays = to_record(dataset)
-    return {
-        **header,
-        "required": settings.required(job.scene).model_dump(exclude_none=True),
+    (header, arrays), worst = to_record(dataset), relative_error(dataset)
+    header |= {
+        "digest": job.digest,
+        "made": made.model_dump(),
+        "required": required.model_dump(exclude_none=True),
         "scene": to_toml(job.scene),
-        "seed": settings.options.seed,
-        "backend": settings.options.backend,
         "photons_per_led": photons,
         "relative_error": worst if math.isfinite(worst) else None,
         "reached": reached,
-        "warnings": sorted({str(w.message) for w in caught if issubclass(w.category, ReweightWarning)}),
-    }, arrays
+    }
+    write_bytes(path, pack(header, arrays))
+    folder.failure(job.digest).unlink(missing_ok=True)
+    return "done" if reached else "unmet"

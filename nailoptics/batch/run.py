@@ -137,7 +137,7 @@ def sweep(
     combine : product, every combination of values; or zip, the first values of all fields, the second, and so on, along
         the dimension sample.
     folder : where results stay, and a sweep that was ended goes on; a temporary folder if not given.
-    course : also what runs over time (volts, blood, force), for which the scenes must share their times.
+    course : also what runs over time (volts, blood, force).
     requested : seed, backend, relative_error, max_seconds, photons, store; workers, scheduler, progress of `run_batch`.
 
     Raises: InputError; NotReachedError, whose result is the dataset, where scenes failed, missed their tolerance or
@@ -275,14 +275,14 @@ class _Driver:
 
     def take_out_finished(self, retry_failed: bool) -> None:
         """Take out of what is left the scenes that are done, and those that failed and are not to be tried again."""
-        made, self.retried = self.settings.made(), retry_failed
+        self.retried = self.retried or retry_failed
         for digest, job in list(self.left.items()):
             if retry_failed:
                 self.folder.failure(digest).unlink(missing_ok=True)
-            state = self.folder.state(digest, self.settings.required(job.scene), made)
+            state = self.folder.state(digest, self.settings.required(job.scene), self.settings.made)
             if state in ("done", "failed"):
                 self._end(job, "kept" if state == "done" else state, self.folder.why_failed(digest))
-            elif state in DAMAGE:
+            elif state in DAMAGE and digest not in self.outcome.corrupt:
                 self.outcome.corrupt.append(digest)
                 self.show(f"result {digest[:12]} is {DAMAGE[state]}; made again")
 
@@ -307,6 +307,7 @@ class _Driver:
         except slots.lost as error:
             log.debug("scheduler lost: %r", error)
             self.trouble = "the scheduler went away; what is done is kept, run again to resume"
+            self.take_out_finished(False)  # what workers did without a word of it coming back
         finally:
             slots.close(now=not finished)
 
@@ -370,7 +371,7 @@ class _Driver:
         reasons = [self.trouble] if self.trouble else []
         if outcome.failed:
             first = next(iter(outcome.failed.values())).rstrip(".")
-            again = "" if self.retried else "; retry_failed tries them again"
+            again = "" if self.retried else "; --retry-failed tries them again"
             reasons.append(f"{len(outcome.failed)} failed (the first: {first}{again})")
         if outcome.unmet:
             reasons.append(f"{len(outcome.unmet)} missed their relative error in their time (run again to continue)")

@@ -28,12 +28,12 @@ class Study:
     run : its answer for a scene, with options, stores in which its light is looked for and, in the first, stored, and
         the phantom that is traced in its place, if any.
     rows : the dimensions over which the table of a sweep has rows.
-    own_light : whether scenes of the same light share it with those of this study alone.
+    own_accuracy : whether its default accuracy is not that of readings.
     """
 
     run: Callable[[Scene, TraceOptions, Sequence[LightStore], Scene | None], Answer]
     rows: tuple[str, ...] = PAIR
-    own_light: bool = False
+    own_accuracy: bool = False
 
 
 def relative_error(dataset: xr.Dataset) -> float:
@@ -121,21 +121,17 @@ def _colour(scene: Scene, options: TraceOptions, stores: Sequence[LightStore], t
 
 
 def _oximeter(scene: Scene, options: TraceOptions, stores: Sequence[LightStore], traced: Scene | None) -> Answer:
-    """Calibration, perfusion and errors of an oximeter; what runs over time or saturation is left out."""
+    """Ratio of ratios, perfusion and errors of an oximeter; what runs over time or saturation is left out."""
     from ..studies.oximetry.oxygen import oximeter
 
-    result, unmet = as_far_as_reached(oximeter, scene, **options.fields)
-    names = [
-        name for name, variable in result.data_vars.items() if set(variable.dims) <= {"photodiode", "led", "cause"}
-    ]
-    at = result[["ratio", "ratio_stderr"]].interp(so2=scene.blood.so2).reset_coords(drop=True)
-    answer = result[names].drop_dims([d for d in ("so2", "time", "beat_time") if d in result[names].dims])
-    return answer.assign(at.data_vars), int(result.attrs["photons"]), not unmet
+    result, unmet = as_far_as_reached(oximeter, scene, stores=stores, **options.fields)
+    names = [name for name, one in result.data_vars.items() if set(one.dims) <= {"photodiode", "led", "cause"}]
+    return result[names], int(result.attrs["photons"]), not unmet
 
 
 STUDIES: dict[StudyName, Study] = {
     "simulate": Study(_simulate),
     "trace": Study(_trace),
-    "colour": Study(_colour, ("force", "place"), own_light=True),
-    "oximeter": Study(_oximeter, ("photodiode",), own_light=True),
+    "colour": Study(_colour, ("force", "place"), own_accuracy=True),
+    "oximeter": Study(_oximeter, ("photodiode",), own_accuracy=True),
 }

@@ -1,9 +1,9 @@
 """What decides where light goes: scenes that agree in it share a trace, whatever dims or reads the light."""
 
+import math
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
-
-import numpy as np
 
 from ..geometry.build import LED_LIGHT
 from ..scene import Photodiode, Scene, digest
@@ -36,42 +36,31 @@ def light_scene(scene: Scene) -> Scene:
         update["finger"] = scene.finger.with_usual(("digit", *ABSORBING))
     if scene.phantom is not None:
         named = enumerate(scene.phantom.layers)
-        layers = tuple(layer.model_copy(update={"name": usual_layer_name(i)}) for i, layer in named)
+        layers = tuple(layer.model_copy(update={"name": f"layer{i}"}) for i, layer in named)
         update["phantom"] = scene.phantom.model_copy(update={"layers": layers})
     return scene.model_copy(update=update)
 
 
 def traced_absorption(scenes: Sequence[Scene]) -> list[Scene | None]:
-    """For each scene, the one of these whose trace gives its readings, too; None where that is its own.
+    """For each scene, the one whose trace gives its readings, too; None where that is its own.
 
     A trace is read at more absorption with no more variance per photon, but its photons walk longer. So phantoms that
-    differ in absorption alone share the trace of the one that absorbs least in every layer, if there is one, and if
-    the others have at most ten times as much in each.
+    differ in absorption alone are traced with that of each layer at the power of ten below, which many share.
     """
-    groups: dict[str, list[int]] = {}
-    for i, scene in enumerate(scenes):
-        if scene.phantom is not None:
-            clear = tuple(layer.model_copy(update={"mu_a_per_mm": 0.0}) for layer in scene.phantom.layers)
-            phantom = scene.phantom.model_copy(update={"layers": clear})
-            groups.setdefault(light_digest(scene.model_copy(update={"phantom": phantom})), []).append(i)
-    traced: list[Scene | None] = [None] * len(scenes)
-    for group in groups.values():
-        mu_a = np.array([[layer.mu_a_per_mm for layer in scenes[i].phantom.layers] for i in group])  # type: ignore[union-attr]
-        least = np.min(mu_a, 0, where=mu_a > 0, initial=np.inf)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            decade = np.where(mu_a > 0, np.maximum(np.ceil(np.log10(mu_a / least) - 1e-9), 1), 0)
-        for row in np.unique(decade, axis=0):
-            members = np.flatnonzero((decade == row).all(1))
-            lowest = np.flatnonzero((mu_a[members] == mu_a[members].min(0)).all(1))
-            if len(lowest) and np.ptp(mu_a[members], 0).any():
-                for member in members:
-                    traced[group[member]] = scenes[group[members[lowest[0]]]]
-    return traced
+    clear = [light_digest(_absorbing_less(scene, nothing=True)) if scene.phantom else "" for scene in scenes]
+    lights = {(light, light_digest(scene)) for light, scene in zip(clear, scenes, strict=True) if light}
+    count = Counter(light for light, _ in lights)
+    return [_absorbing_less(s) if count[light] > 1 else None for light, s in zip(clear, scenes, strict=True)]
 
 
-def usual_layer_name(layer: int) -> str:
-    """What the light calls a phantom's layer, whatever its scene does."""
-    return f"layer{layer}"
+def _absorbing_less(scene: Scene, *, nothing: bool = False) -> Scene:
+    """A phantom whose layers absorb nothing, or as much as the power of ten below what they do."""
+    assert scene.phantom is not None
+    mu_a = [0.0 if nothing else layer.mu_a_per_mm for layer in scene.phantom.layers]
+    less = [10.0 ** math.floor(math.log10(value) + 1e-9) if value else 0.0 for value in mu_a]
+    pairs = zip(scene.phantom.layers, less, strict=True)
+    layers = tuple(layer.model_copy(update={"mu_a_per_mm": value}) for layer, value in pairs)
+    return scene.model_copy(update={"phantom": scene.phantom.model_copy(update={"layers": layers})})
 
 
 def light_digest(scene: Scene) -> str:

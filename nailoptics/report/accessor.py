@@ -69,7 +69,7 @@ class Nail:
         drawings = self._report.figures
         if figure is not None and figure not in drawings:
             raise InputError(f'figure = "{figure}" is unknown; choose from {", ".join(drawings)}.')
-        name = figure or next(iter(drawings))
+        name = figure or self.figures[0]
         what = ", ".join([f'figure = "{name}"', *(f"{option} = {value!r}" for option, value in which.items())])
         options = [*signature(drawings[name]).parameters][1:]
         if not which.keys() <= {*options}:

@@ -121,7 +121,8 @@ class SweepFile(Table):
             if not sampled and getattr(self, key) is not None:
                 raise ValueError(f'{key} belongs to combine = "latin_hypercube"; leave it out')
         for i, axis in enumerate(self.axes):
-            if self.combine == "product" and len({*map(str, axis.values or ())}) < len(axis.values or ()):
+            texts = {re.sub(r"\.0\b", "", str(value)) for value in axis.values or ()}  # 1 and 1.0 are one value
+            if self.combine == "product" and len(texts) < len(axis.values or ()):
                 raise ValueError(f"axes[{i}]: {axis.path} has a value twice; leave one out")
             if axis.values is None and (axis.range is not None) != sampled:
                 why = 'linspace and logspace are for "product" and "zip"'

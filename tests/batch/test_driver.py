@@ -6,6 +6,7 @@ from concurrent.futures import BrokenExecutor, Executor, Future
 import pytest
 
 from nailoptics.batch import run
+from nailoptics.batch.folder import Folder
 from nailoptics.batch.jobs import Job, Settings, in_order
 from nailoptics.batch.run import MOST_CRASHES, LocalSlots, Outcome
 from nailoptics.errors import NotReachedError
@@ -43,7 +44,7 @@ class Played(LocalSlots):
 def driver_of(folder, lights: int, each: int) -> run._Driver:
     """The driver of so many scenes of each of some lights."""
     jobs = [Job(f"{k}-{i}", f"{k:064}", f"scene {k}-{i}") for k in range(lights) for i in range(each)]
-    return run._Driver(Settings(folder, TraceOptions(backend="llvm")), jobs, None)
+    return run._Driver(Settings(folder, TraceOptions(backend="llvm", photons=1)), jobs, None)
 
 
 @pytest.fixture
@@ -87,6 +88,21 @@ def test_a_kill_by_chance_costs_no_scene(played):
         return len(tried) in (1, 4, 9, 20)
 
     assert not played(once).failed
+
+
+def test_what_workers_had_done_as_the_scheduler_went_away_counts(tmp_path, monkeypatch):
+    class Gone(Played):
+        lost = (ConnectionError,)
+
+        def submit(self, slot, job, settings):
+            states["0-1"] = "done"
+            raise ConnectionError
+
+    driver, states = driver_of(tmp_path, lights=1, each=3), {}
+    monkeypatch.setattr(Folder, "state", lambda folder, digest, *_: states.get(digest, "missing"))
+    driver.run(Gone(lambda digest: False))
+    with pytest.raises(NotReachedError, match="1 of 3 scenes are done; the scheduler went away"):
+        driver.checked_outcome()
 
 
 def test_while_a_light_is_traced_nobody_else_begins_with_it(tmp_path):

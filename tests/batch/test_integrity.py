@@ -8,10 +8,15 @@ import numpy as np
 import pytest
 
 import nailoptics as nail
-from nailoptics.batch import Sweep, run_batch, status
+from nailoptics.assets import data_dir
+from nailoptics.batch import Sweep, folder as folders, run_batch, status
+from nailoptics.batch.folder import Folder
+from nailoptics.batch.jobs import Settings, jobs_of, work
 from nailoptics.cli import run
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.io import pack, unpack
+from nailoptics.light.tracing import store
+from nailoptics.options import TraceOptions
 
 from .conftest import Calm, Here, bits, phantoms
 
@@ -190,6 +195,42 @@ def test_a_batch_of_another_version_opens_but_does_not_resume(calm, used, caplog
     assert (nail.open_results(used).state == "done").all() and "made with nailoptics 0.0.1" in caplog.text
     with pytest.raises(InputError, match=r"nailoptics 0\.0\.1 and is .* here"):
         again(calm, used)
+
+
+def test_what_another_program_made_is_made_again(calm, used, monkeypatch, caplog):
+    """Of the same version, as between releases. Expected: opened with a word, and never beside what is made now."""
+    monkeypatch.setattr(folders, "program_digest", lambda code, assets: "another program")
+    assert (status(used).foreign, status(used).left, status(used).other_versions) == (30, 30, "")
+    assert (nail.open_results(used).state == "done").all() and "and is another prog here" in caplog.text
+    outcome, said = again(calm, used)
+    assert (len(outcome.done), len(outcome.kept)) == (30, 0) and "or program's; made again" in said[0]
+    assert status(used).done == 30 and not set(bits(used).values()) & set(calm.bits.values())
+
+
+def test_a_program_is_all_its_code_and_assets_from_a_wheel_as_from_a_clone(monkeypatch, tmp_path):
+    read, read_bytes, package = set(), Path.read_bytes, Path(nail.__file__).resolve().parent
+    monkeypatch.setattr(Path, "read_bytes", lambda path: read.add(path) or read_bytes(path))
+    monkeypatch.setattr(folders, "program_digest", store.program_digest.__wrapped__)
+    clone = folders.Provenance.here(0, "llvm")
+    assert {path.resolve() for path in read} >= {*package.glob("**/*.py"), *data_dir("assets").glob("**/*.toml")}
+    wheel = tmp_path / "nailoptics"
+    shutil.copytree(package, wheel, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(data_dir("assets"), wheel / "_assets")
+    monkeypatch.setattr(store, "__file__", str(wheel / "light" / "tracing" / "store.py"))
+    monkeypatch.setattr(store, "data_dir", lambda name: wheel / f"_{name}")
+    assert folders.Provenance.here(0, "llvm") == clone
+    (wheel / "_assets" / "vessels.toml").write_text("")
+    assert "program" in clone.unlike(folders.Provenance.here(0, "llvm"))
+
+
+def test_a_worker_of_another_version_fails_its_scenes_with_the_reason(calm, tmp_path, monkeypatch):
+    """Its results would be another's, and be made again by every run."""
+    settings = Settings(tmp_path, TraceOptions(backend="llvm"))
+    (job, *_) = jobs_of(calm.sweep, settings)
+    monkeypatch.setattr(folders, "current_versions", lambda: dict(settings.made.versions) | {"nailoptics": "0.0.1"})
+    state, why = work(job, settings)
+    assert state == "failed" and "and is 0.0.1 here, in the worker" in why and "\n" not in why
+    assert Folder(tmp_path).why_failed(job.digest) == why and not bits(tmp_path)
 
 
 def test_a_plan_with_the_key_of_0_2_0_is_read(used):

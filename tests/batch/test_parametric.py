@@ -32,6 +32,18 @@ def test_a_sweep_has_the_results_of_a_batch_and_a_dimension_for_each_field(jit_b
 
 
 @pytest.mark.jit
+def test_scenes_of_other_zones_and_times_are_one_dataset(jit_backend, here):
+    """Expected: what a scene lacks is NaN, and what it has is in its place."""
+    over, more = {"blood.zones": [2, 4], "touch.duration_s": [2.0, 1.0]}, {"photons": 500, "workers": 1}
+    swept = nail.sweep("prototype", over, course=True, backend=jit_backend.name, **more)
+    assert np.isfinite(swept.volts_start).all() and swept.sizes["time"] == 201
+    blood = np.isfinite(swept.blood_fraction.transpose("zones", "duration_s", "zone", "time"))
+    assert blood.isel(time=0).sum("zone").values.tolist() == [[2, 2], [4, 4]]
+    assert blood.any("zone").sum("time").values.tolist() == [[201, 101], [201, 101]]
+    assert "touch.duration_s" in swept.nail.report()
+
+
+@pytest.mark.jit
 def test_in_a_folder_a_sweep_goes_on(jit_backend, here, tmp_path):
     scene, folder = phantoms(tmp_path, 1).scenes[0], tmp_path / "b"
     field = "phantom.layers.slab.thickness_mm"
@@ -77,7 +89,7 @@ def test_where_scenes_fail_the_others_are_the_result(jit_backend, here, tmp_path
     with pytest.raises(NotReachedError, match="2 failed") as caught:
         nail.sweep(scene, over, workers=1, backend=jit_backend.name)
     result = caught.value.result
-    assert "retry_failed" not in str(caught.value)  # a sweep tries again by itself
+    assert "retry" not in str(caught.value)  # a sweep tries again by itself
     assert result.state.values.tolist() == [["done"] * 2, ["failed"] * 2] and "2 failed" in result.attrs["cut_off"]
 
 
@@ -111,6 +123,7 @@ def test_fields_of_one_name_are_called_by_their_path():
         ({}, {}, "over = {}: give fields"),
         ([0.9], {}, "over = [0.9]: give fields"),
         ({"blood.so2": [0.9, 0.9]}, {}, "blood.so2 has a value twice"),
+        ({"touch.force_n": [1, 1.0]}, {}, "touch.force_n has a value twice"),
         ({"blood.so2": [0.9]}, {"workers": 1.5}, "workers = 1.5; must be a whole number"),
         ({"blood.so2": 0.9}, {}, '"blood.so2" = 0.9 is not a list'),
         ({"blood.so2": []}, {}, "is not a list"),

@@ -259,7 +259,7 @@ def test_a_failed_scene_is_recorded_and_retried_on_request(jit_backend, here, tm
     )
     records = sorted((tmp_path / "b" / "failed").iterdir())
     first = [path.read_bytes() for path in records]
-    with pytest.raises(NotReachedError, match="; retry_failed tries them again") as caught:
+    with pytest.raises(NotReachedError, match="; --retry-failed tries them again") as caught:
         run_batch(sweep, tmp_path / "b", workers=1)
     assert len(caught.value.result.kept) == 2 and [path.read_bytes() for path in records] == first
     with pytest.raises(NotReachedError):

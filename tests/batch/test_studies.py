@@ -100,14 +100,16 @@ def test_an_oximeter_and_light_alone_are_swept_too(jit_backend, tmp_path):
 def test_an_oximeter_is_swept_over_its_pulse(jit_backend, coarse_cells, few_photons_beside, tmp_path):
     (tmp_path / "o.toml").write_text(
         'schema_version = 1\nstudy = "oximeter"\nbase = "pulse_oximeter"\n'
-        '[[axes]]\npath = "blood.so2"\nvalues = [0.9]\n'
+        '[[axes]]\npath = "blood.so2"\nvalues = [0.9, 0.97]\n'
     )
     # Of the command, as the scene's own tolerance would hold beside photons of a sweep.
     sweep, options = load_sweep(tmp_path / "o.toml"), TraceOptions(backend=jit_backend.name, photons=20_000)
     reports = done_here(sweep, Settings.of(tmp_path / "o", options, sweep.study))
-    assert reports == [("done", "")]
+    assert reports == [("done", "")] * 2
+    # One light for each LED.
+    assert len([path for path in (tmp_path / "o" / "light").iterdir() if path.is_dir()]) == 2
     results = nail.open_results(tmp_path / "o")
-    assert results.ratio.dims == ("so2", "photodiode") and np.isfinite(results.ratio).any()
+    assert results.ratio_at_rest.dims == ("so2", "photodiode") and np.isfinite(results.ratio_at_rest).any()
     assert len(write_sweep(results, tmp_path / "o", failures={})["table"].read_text().splitlines()) > 1
 
 

@@ -138,6 +138,11 @@ def test_a_sweep_of_one_value_is_a_point_and_another_axis_is_named():
         sweep(force_n=[1.0]).plot("photographs")
     with pytest.raises(nail.InputError, match='"nailoptics: batch x" has no scene'):
         _ = sweep(force_n=[1.0]).scene
+    # As where all scenes failed.
+    failed = sweep(force_n=[1.0])._result[["state"]].nail
+    with pytest.raises(nail.InputError, match="needs readings: no scene is done"):
+        failed.plot()
+    assert "1 scenes: 1 done" in failed.report()
 
 
 @pytest.mark.long

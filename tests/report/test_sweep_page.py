@@ -81,6 +81,22 @@ def test_the_axes_of_a_figure_have_names_and_units(monkeypatch):
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("touch.force_n [N]", "voltage at rest [V]")
 
 
+def test_an_oximeters_quantity_is_drawn_by_photodiode(monkeypatch):
+    """Its R is of both LEDs."""
+    of = {"units": "1", "long_name": "R at the scene's saturation"}
+    value = (("so2", "flux_mw", "photodiode"), np.linspace(0.4, 0.9, 12).reshape(2, 3, 2), of)
+    coords = {"so2": [0.8, 0.9], "flux_mw": [1.0, 2.0, 3.0], "photodiode": ["a", "b"]}
+    data = {"ratio_at_rest": value, "ratio_at_rest_stderr": value, "state": (("so2", "flux_mw"), [["done"] * 3] * 2)}
+    drawn: list[Any] = []
+    monkeypatch.setattr(style, "to_svg", lambda figure, **_: drawn.append(figure) or "<svg></svg>")
+    page(xr.Dataset(data, coords, {"title": "nailoptics: batch x"}))
+    first, second = (one.axes[0] for one in drawn)
+    assert [text.get_text() for text in first.get_legend().get_texts()] == ["a", "b"]
+    assert [*first.containers[1][0].get_ydata()] == pytest.approx(value[1][:, 1, 1])
+    assert [*second.containers[0][0].get_ydata()] == pytest.approx(value[1][1, :, 0])
+    assert second.get_ylabel() == "R at the scene's saturation [1]"
+
+
 def test_resistors_that_were_fitted_scene_by_scene_are_named():
     """Expected: where they differ, unless the sweep itself sets them."""
     words = "each fitted to the light of its own"

@@ -35,17 +35,18 @@ MOST_BYTES = 2e9
 MOST_OF_FREE = 0.25
 # Code that decides a photon's way beside the scene, so that no other program's light passes for this one's.
 CODE = ("statistics.py", "tissue.py", "hemodynamics/blood.py", "geometry/**/*.py", "light/**/*.py", "scene/**/*.py")
+ASSETS = ("tissue.toml", "spectra/*.csv")
 _KEY = 32
 
 
 @cache
-def program_digest(code: tuple[str, ...] = CODE) -> str:
-    """Digest of the code, by patterns of its files, and the constants and spectra of tissue that decide a photon's way,
-    or what is made of it; versions alone miss changes between releases."""
-    package, assets, digest = Path(__file__).parents[2], data_dir("assets"), hashlib.sha256()
-    files = sorted(path for pattern in code for path in package.glob(pattern))
-    for path in (*files, assets / "tissue.toml", *sorted((assets / "spectra").glob("*.csv"))):
-        digest.update(path.read_bytes())
+def program_digest(code: tuple[str, ...] = CODE, assets: tuple[str, ...] = ASSETS) -> str:
+    """Digest of code and assets, by patterns of their files, that decide a photon's way, or what is made of it;
+    versions alone miss changes between releases."""
+    digest = hashlib.sha256()
+    for root, patterns in ((Path(__file__).parents[2], code), (data_dir("assets"), assets)):
+        for path in sorted(path for pattern in patterns for path in root.glob(pattern) if path.is_file()):
+            digest.update(path.read_bytes())
     return digest.hexdigest()[:_KEY]
 
 

@@ -14,7 +14,7 @@ from ...options import Requested, TraceOptions
 from ...scene import Accuracy, Scene, SceneIn, as_scene
 from ...statistics import seed_of
 from .. import backend as backends, optics
-from ..identity import light_scene, usual_layer_name
+from ..identity import light_scene
 from ..transfer import Transfer, photodiode_names
 from ..transfer.records import COLUMNS, FINGER_BATCH_PHOTONS, PHANTOM_BATCH_PHOTONS, SUMS, LedTrace, read_escaping
 from .stopping import Ending, LedStoppingCriterion, ProgressCallback, run_until, share_of_time
@@ -158,8 +158,8 @@ class LedSource:
             read_mu_a = optics.absorption(self.scene, self.scene.leds[self.led].wavelength_nm)[0]
             return read_escaping(batch, count, read_mu_a - self.mu_a)
         # The light does not know the names of a phantom's layers.
-        layers = self.scene.phantom.layers if self.scene.phantom else ()
-        names = {usual_layer_name(i): layer.name for i, layer in enumerate(layers)}
+        called, named = (one.phantom.layers if one.phantom else () for one in (self.engine.scene, self.scene))
+        names = {layer.name: known.name for layer, known in zip(called, named, strict=True)}
         return replace(batch, absorbed={names.get(place, place): sums for place, sums in batch.absorbed.items()})
 
 

@@ -21,7 +21,7 @@ from ..numbers import aligned, prefix, significant
 
 # Axes after which no more figures are drawn, and lines in one of them.
 FIGURES, LINES = 6, 12
-_QUANTITIES = ("volts_change_peak", "volts_start", "detected_fraction_rest", "ratio")
+_QUANTITIES = ("volts_change_peak", "volts_start", "detected_fraction_rest", "ratio_at_rest")
 
 
 def write_sweep(results: xr.Dataset, folder: Path, *, failures: Mapping[str, str]) -> dict[str, Path]:
@@ -82,9 +82,7 @@ def _figures(results: xr.Dataset) -> str:
         ohm = results.feedback_ohm.stack(scene=results.state.dims).transpose("scene", ...)
         lines += [small(texts("sweep")["fitted"])] if np.nanmax(np.nanstd(ohm, axis=0)) > 0 else []
     for name in _varied(results)[:FIGURES]:
-        held = _held(results, name)
-        caption = f"Over {results[name].attrs.get('long_name', name)}" + (f", at {held}." if held else ".")
-        lines.append(figure(_along(results, name), caption, narrow=True))
+        lines.append(figure(_along(results, name), f"Over {results[name].attrs.get('long_name', name)}.", narrow=True))
     return section(text[0].upper() + text[1:], *lines)
 
 
@@ -97,47 +95,47 @@ def _varied(results: xr.Dataset) -> list[str]:
     return [n for n in axes_of(results) if len(np.unique(results[n])) > 1]
 
 
-def _others(results: xr.Dataset, name: str) -> dict[Any, int]:
-    """Where the other axes are held in a plot along one: at their middle."""
-    return {d: results.sizes[d] // 2 for d in results.state.dims if d not in results[name].dims}
-
-
-def _held(results: xr.Dataset, name: str) -> str:
-    """Where the other axes are held, in words: so2 = 0.85, force_n = 1 N."""
-    held = {d: results[d][i] for d, i in _others(results, name).items() if d in results.coords}
+def _held(results: xr.Dataset, others: dict[Any, int]) -> str:
+    """Where other axes are held, in words: so2 = 0.85, force_n = 1 N."""
+    held = {d: results[d][i] for d, i in others.items() if d in results.coords}
     shown = {d: f"{at.item():.4g}" if at.dtype.kind == "f" else str(at.item()) for d, at in held.items()}
     return ", ".join(f"{d} = {shown[d]} {at.attrs.get('units', '1')}".removesuffix(" 1") for d, at in held.items())
 
 
 @style.drawing()
 def _along(results: xr.Dataset, axis: str = "") -> "style.Figure":
-    """Readings over one axis, the first if none is named; raises LookupError where there is nothing to plot."""
-    quantity, name = str(_quantity(results)), axis or (_varied(results) or axes_of(results))[0]
-    (dim,), others = results[name].dims, _others(results, name)
+    """Readings over one axis, the first if none is named; raises InputError where there is nothing to plot."""
+    if not (quantity := _quantity(results)):
+        raise InputError('figure = "along" needs readings: no scene is done, or the study is "colour".')
+    name = axis or (_varied(results) or axes_of(results))[0]
+    (dim,) = results[name].dims
+    others: dict[Any, int] = {d: results.sizes[d] // 2 for d in results.state.dims if d != dim}
     values, errors = results[quantity].isel(others), results[f"{quantity}_stderr"].isel(others)
     coordinate = results[name].values
     numeric = coordinate.dtype.kind in "iuf"
     x = coordinate.astype(float) if numeric else np.arange(len(coordinate))
-    scale, letter = prefix(float(np.nanmax(np.abs(values.values), initial=0.0)))
-    pairs = list(np.ndindex(values.sizes["led"], values.sizes["photodiode"]))
+    unit, most = str(results[quantity].attrs["units"]), float(np.nanmax(np.abs(values.values), initial=0.0))
+    scale, letter = prefix(most) if unit != "1" or most < 0.1 else (1.0, "")
+    of_one = [d for d in values.dims if d != dim]
+    lines = [dict(zip(of_one, at, strict=True)) for at in np.ndindex(*(values.sizes[d] for d in of_one))]
     drawing, axes = style.panels(6.4, 2.9)
     look: Any = {"marker": "o", "markersize": 3, "linewidth": 1.2}
     look["linestyle"] = "-" if numeric and name in results.state.dims else "none"
-    for (i, j), colour in zip(pairs[:LINES], style.place_colours(min(len(pairs), LINES)), strict=True):
-        y, error = (v.isel(led=i, photodiode=j).transpose(dim).values / scale for v in (values, errors))
-        label = style.plain(f"{values.led.values[i]} → {values.photodiode.values[j]}")
+    for at, colour in zip(lines[:LINES], style.place_colours(min(len(lines), LINES)), strict=True):
+        y, error = (v.isel(at).values / scale for v in (values, errors))
+        label = style.plain(" → ".join(str(values[d].values[i]) for d, i in at.items()))
         axes.errorbar(x, y, error, color=colour, label=label, **look)
-    unit = str(results[quantity].attrs["units"])
     of = f"{letter}{unit}" if unit != "1" else significant(scale, 1)
     axes.set_ylabel(style.plain(textwrap.fill(f"{results[quantity].attrs['long_name']} [{of}]", 34)))
     # Of texts, such as places, the unit is that of their field.
     place = str(results[name].attrs.get("long_name", name))
     unit = str(results[name].attrs.get("units", unit_of(place)))
     axes.set_xlabel(style.plain(f"{place} [{unit}]" if numeric or unit != "1" else place))
-    axes.set_title(style.plain(textwrap.fill(_held(results, name), 70)))
+    axes.set_title(style.plain(textwrap.fill(_held(results, others), 70)))
+    axes.locator_params(axis="x", nbins=7)
     if not numeric:
         axes.set_xticks(x, [style.plain(str(v)[:24]) for v in coordinate])
-    if pairs:
+    if lines:
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return drawing
 
@@ -161,8 +159,8 @@ def contact_sheet(results: xr.Dataset) -> "style.Figure":
     axes.imshow(sheet, extent=(0, count, len(scenes), 0), aspect="auto")
     axes.hlines(range(1, len(scenes)), 0, count, color="white")
     axes.vlines(range(1, count), 0, len(scenes), color="white")
-    forces_n = np.nanmax(results.force_n.values.reshape(-1, count), axis=0)
-    axes.set_xticks(np.arange(count) + 0.5, [f"{force:g} N" for force in forces_n])
+    forces_n = [np.unique(force_n[np.isfinite(force_n)]) for force_n in results.force_n.values.reshape(-1, count).T]
+    axes.set_xticks(np.arange(count) + 0.5, [" or ".join(f"{x:g}" for x in force_n) + " N" for force_n in forces_n])
     axes.set_yticks(np.arange(len(scenes)) + 0.5, [style.plain(_words(scene, results)) for scene in scenes])
     axes.tick_params(length=0, labelsize=7, labeltop=True, labelbottom=False)
     axes.grid(False)
@@ -186,5 +184,5 @@ SWEEP = Report(
     page,
     lambda results: {"scenes": _states(results)} | run_summary(results.attrs),
     lambda results, _: aligned(_axes(results)),
-    {"along": _along, "photographs": contact_sheet},
+    {"photographs": contact_sheet, "along": _along},
 )

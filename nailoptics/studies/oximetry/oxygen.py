@@ -1,5 +1,6 @@
 """A pulse oximeter from touch to SpO2: curve and lines of every photodiode, their error, and what disturbs them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Unpack
 
@@ -11,6 +12,7 @@ from ...errors import InputError, as_far_as_reached, unless_cut_off
 from ...hemodynamics.for_scene import BloodBeat, beat_at, blood_over_touch, heart_rate_per_min, rest_beat
 from ...light import ProgressCallback, Transfer, optics
 from ...light.detect import light_of, unseen_leds
+from ...light.tracing.store import LightStore
 from ...options import Requested, TraceOptions
 from ...scene import Oximeter, Scene, SceneIn, as_scene
 from ...sensor.ambient import LAMP, SUN, trace_ambient
@@ -131,11 +133,19 @@ MOST_CROSSTALK = 0.01
 _LEAKAGE, ROUNDING_V = 52, 1e-9
 
 
-def oximeter(scene: SceneIn, *, progress: ProgressCallback | None = None, **requested: Unpack[Requested]) -> xr.Dataset:
+def oximeter(
+    scene: SceneIn,
+    *,
+    stores: Sequence[LightStore] | None = None,
+    progress: ProgressCallback | None = None,
+    **requested: Unpack[Requested],
+) -> xr.Dataset:
     """R against saturation for every photodiode of a two-LED scene, from one trace per wavelength.
 
     relative_error, of the scene or as requested, is that of the ratio of ratios on the photodiode where that is least.
     The best photodiode is that with the least error of SpO2 by the sensor's noise.
+
+    stores : where light is read from and, in the first, stored; that of the user if not given.
 
     Returns: Dataset over photodiode, led (red, infrared), so2 and beat_time: ratio, perfusion index, calibrations,
     errors of SpO2 by cause for a beat and for 8 s, volts over a beat, paths, and curves of what disturbs, each estimate
@@ -152,7 +162,9 @@ def oximeter(scene: SceneIn, *, progress: ProgressCallback | None = None, **requ
         value, error = jackknifed(pulsations.read_pulsations(light, leds, states).ratio[..., 0])
         return float(np.nanmin(np.where(value > 0, error / value, np.inf), initial=np.inf))
 
-    transfer, unmet = as_far_as_reached(pulsations.trace_for_ratio, scene, error_of, options, progress)
+    transfer, unmet = as_far_as_reached(
+        pulsations.trace_for_ratio, scene, error_of, options, progress=progress, stores=stores
+    )
     result = oximeter_from(transfer, options=options)
     result.attrs |= run_time()
     return unless_cut_off(result, unmet)

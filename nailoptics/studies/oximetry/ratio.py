@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.polynomial import polyfit, polyval
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike
 from ... import tissue
 from ...errors import NotReachedError, as_far_as_reached
 from ...hemodynamics.for_scene import BloodBeat
-from ...light import ProgressCallback, Transfer, optics, trace
+from ...light import Transfer, optics, trace
 from ...light.tracing import StoppingCriterion, accuracy
 from ...light.transfer.series import ChebyshevBox, read_replicates
 from ...options import TraceOptions
@@ -36,11 +37,12 @@ _ROUND = 41
 
 
 def trace_for_ratio(
-    scene: Scene, error_of: Callable[[Transfer], float], options: TraceOptions, progress: ProgressCallback | None = None
+    scene: Scene, error_of: Callable[[Transfer], float], options: TraceOptions, **given: Any
 ) -> Transfer:
     """Light of every LED until an answer's relative error is that of the scene, or of the options.
 
     error_of : relative standard error of the answer from what was traced; inf where it is not known.
+    given : progress and stores of `trace`.
 
     Raises: NotReachedError with the Transfer so far.
     """
@@ -49,14 +51,14 @@ def trace_for_ratio(
     left_s = limit_s = required.max_seconds
     if target is None:
         how = replace(options, relative_error=None, max_seconds=left_s, photons=required.photons)
-        return replace(trace(plain, progress=progress, **how.fields), scene=scene)
+        return replace(trace(plain, **given, **how.fields), scene=scene)
     criterion = StoppingCriterion(target=target, first=FIRST_PHOTONS, least=FIRST_PHOTONS // 4, margin=1.15, growth=16)
     light: Transfer | None = None
     photons, rounds = criterion.first, 0
     while True:
         seed = seed_of(options.seed, _ROUND, rounds) >> 1 if rounds else options.seed
         how = replace(options, seed=seed, relative_error=None, max_seconds=left_s, photons=photons)
-        more, unmet = as_far_as_reached(trace, plain, progress=progress, **how.fields)
+        more, unmet = as_far_as_reached(trace, plain, **given, **how.fields)
         more = replace(more, scene=scene)
         light, rounds = light.merge(more) if light else more, rounds + 1
         per_led, error = light.photons // len(scene.leds), error_of(light)
