@@ -82,14 +82,14 @@ def test_the_axes_of_a_figure_have_names_and_units(monkeypatch):
 
 
 def test_an_oximeters_quantity_is_drawn_by_photodiode(monkeypatch):
-    """Its R is of both LEDs."""
+    """Its R is of both LEDs; a photodiode of other scenes alone has no line."""
     of = {"units": "1", "long_name": "R at the scene's saturation"}
     value = (("so2", "flux_mw", "photodiode"), np.linspace(0.4, 0.9, 12).reshape(2, 3, 2), of)
     coords = {"so2": [0.8, 0.9], "flux_mw": [1.0, 2.0, 3.0], "photodiode": ["a", "b"]}
     data = {"ratio_at_rest": value, "ratio_at_rest_stderr": value, "state": (("so2", "flux_mw"), [["done"] * 3] * 2)}
     drawn: list[Any] = []
     monkeypatch.setattr(style, "to_svg", lambda figure, **_: drawn.append(figure) or "<svg></svg>")
-    page(xr.Dataset(data, coords, {"title": "nailoptics: batch x"}))
+    page(xr.Dataset(data, coords, {"title": "nailoptics: batch x"}).reindex(photodiode=["a", "other", "b"]))
     first, second = (one.axes[0] for one in drawn)
     assert [text.get_text() for text in first.get_legend().get_texts()] == ["a", "b"]
     assert [*first.containers[1][0].get_ydata()] == pytest.approx(value[1][:, 1, 1])
@@ -105,8 +105,8 @@ def test_resistors_that_were_fitted_scene_by_scene_are_named():
         ("leds.ir.flux_mw", [1e3, 1e3], False),
         ("electronics.feedback_ohm", [1e3, 2e3], False),
     ):
-        sweep = results(["a", "b"], axis="value").assign_coords(value=("value", [1.0, 2.0], {"long_name": place}))
-        sweep["feedback_ohm"] = ("value", "photodiode"), np.reshape(ohm, (2, 1))
+        sweep = results(["a", "b"], axis="scene").assign_coords(scene=("scene", [1.0, 2.0], {"long_name": place}))
+        sweep["feedback_ohm"] = ("scene", "photodiode"), np.reshape(ohm, (2, 1))
         assert (words in page(sweep)) is said
 
 

@@ -79,8 +79,8 @@ def _figures(results: xr.Dataset) -> str:
         return ""
     text, lines = str(results[quantity].attrs["long_name"]), [small(texts("sweep")["note"])]
     if "feedback_ohm" in results and "feedback_ohm" not in str(_axes(results)):
-        ohm = results.feedback_ohm.stack(scene=results.state.dims).transpose("scene", ...)
-        lines += [small(texts("sweep")["fitted"])] if np.nanmax(np.nanstd(ohm, axis=0)) > 0 else []
+        ohm, dims = results.feedback_ohm, results.state.dims
+        lines += [small(texts("sweep")["fitted"])] if (ohm.max(dims) > ohm.min(dims)).any() else []
     for name in _varied(results)[:FIGURES]:
         lines.append(figure(_along(results, name), f"Over {results[name].attrs.get('long_name', name)}.", narrow=True))
     return section(text[0].upper() + text[1:], *lines)
@@ -118,6 +118,7 @@ def _along(results: xr.Dataset, axis: str = "") -> "style.Figure":
     scale, letter = prefix(most) if unit != "1" or most < 0.1 else (1.0, "")
     of_one = [d for d in values.dims if d != dim]
     lines = [dict(zip(of_one, at, strict=True)) for at in np.ndindex(*(values.sizes[d] for d in of_one))]
+    lines = [at for at in lines if values.isel(at).notnull().any()]  # LEDs and photodiodes of other scenes alone
     drawing, axes = style.panels(6.4, 2.9)
     look: Any = {"marker": "o", "markersize": 3, "linewidth": 1.2}
     look["linestyle"] = "-" if numeric and name in results.state.dims else "none"
