@@ -34,7 +34,7 @@ NARROWNESS = 0.2
 HALF_WIDTH_TERMS, MOTION_LAG = 4, 1
 # A touch of a proximal share s is of one side alone where |2 s - 1| is this or more. [1]
 ONE_SIDED = 0.6
-# The estimate follows the filter from this fraction of the largest force that members are trained on. [1]
+# The estimate follows the filter from where members say this fraction of the largest force they are trained on. [1]
 HANDED_OVER = 0.9
 
 
@@ -174,9 +174,9 @@ class Ensemble:
         by_side_n = self.intercept_n[:, None] + np.outer(self.weights["filter"], filter_n) + self.polynomial_n @ terms
         standardised = (inside - self.middle[:, None]) / self.scale[:, None]
         by_side_n = by_side_n + self.kernel_n @ gaussians(standardised, self.centres)
-        force_n, moved_n = mixed(by_side_n, filter_n, share)
-        # Past what members know the filter says how much harder the touch is.
-        past = np.clip((force_n / self.top_n - HANDED_OVER) / (1.0 - HANDED_OVER), 0.0, 1.0)
+        force_n, moved_n = mixed(by_side_n, np.minimum(filter_n, self.top_n), share)
+        # Where members say that a touch is past what they know, the filter says how much harder it is.
+        past = np.clip(((force_n - moved_n) / self.top_n - HANDED_OVER) / (1.0 - HANDED_OVER), 0.0, 1.0)
         force_n = force_n + past * np.maximum(filter_n - np.maximum(force_n, self.top_n), 0.0)
         terms = half_width_terms(features, force_n, len(self.components))
         # No calibration shows how far off touches of both sides are: half of what the filter moves them by is added.

@@ -216,7 +216,7 @@ def _trained(features: Array, samples: CalibrationSeries, components: Array) -> 
     polynomial_n = np.zeros((2, len(terms.indices)))
     for name, members in terms.members.items():
         polynomial_n[:, members] += shares[name][:, None] * by_side[name][0][:, : members.sum()]
-    weighted_n, _ = mixed(np.array(weights) @ by_member, by_filter.force_n, share)
+    weighted_n, _ = mixed(np.array(weights) @ by_member, np.minimum(by_filter.force_n, force_n.max()), share)
     errors_n = {name: rms(series - force_n) for name, series in (held_out | {"ensemble": weighted_n}).items()}
     ensemble = Ensemble(
         components=components,

@@ -146,16 +146,27 @@ def test_of_both_sides_the_filter_says_half_and_of_one_nothing():
     assert (mixed(np.zeros((2, 6)), np.full(6, 2.0), share)[0] == 0.0).all()
 
 
-def test_what_the_filter_moves_a_touch_of_both_sides_by_widens_its_interval_by_half():
+def estimate_of(members_n: float, share: float, filter_n: float) -> list[float]:
+    """Force, bounds and share where members agree on a force and have no errors of their own."""
     ensemble = subject().ensemble
     assert ensemble is not None
     nothing = {name: 0.0 * getattr(ensemble, name) for name in ("polynomial_n", "kernel_n", "half_width_n", "gate")}
-    weights, by_side = {"filter": np.zeros(2)}, {"intercept_n": np.full(2, 0.4), "open_above_n": np.full(2, 9.0)}
-    features, filter_n = np.zeros((len(ensemble.least), 1)), np.array([0.8])
-    for share, expected in ((0.5, (0.6, 0.5, 0.7, 0.5)), (1.0, (0.4, 0.4, 0.4, 1.0))):
-        known = replace(ensemble, **nothing | by_side, weights=weights)
-        known.gate[0] = share
-        assert np.concatenate(known.estimate(features, filter_n, filter_n)) == pytest.approx(expected)
+    by_side = {"intercept_n": np.full(2, members_n), "open_above_n": np.full(2, 9.0)}
+    known = replace(ensemble, **nothing | by_side, weights={"filter": np.zeros(2)}, top_n=1.2)
+    known.gate[0] = share
+    by_filter = np.array([filter_n])
+    return [float(one[0]) for one in known.estimate(np.zeros((len(known.least), 1)), by_filter, by_filter)]
+
+
+def test_what_the_filter_moves_a_touch_of_both_sides_by_widens_its_interval_by_half():
+    assert estimate_of(0.4, 0.5, 0.8) == pytest.approx([0.6, 0.5, 0.7, 0.5])
+    assert estimate_of(0.4, 1.0, 0.8) == pytest.approx([0.4, 0.4, 0.4, 1.0])
+
+
+def test_a_filter_that_overshoots_is_followed_only_where_members_say_that_a_touch_is_hard():
+    """Expected: of both sides it counts as the largest force that members know, 1.2 N here."""
+    assert estimate_of(0.4, 1.0, 3.0)[0] == pytest.approx(0.4) and estimate_of(0.4, 0.5, 3.0)[0] == pytest.approx(0.8)
+    assert estimate_of(1.2, 1.0, 3.0)[0] == estimate_of(1.2, 0.5, 3.0)[0] == pytest.approx(3.0)
 
 
 @pytest.mark.long
