@@ -39,10 +39,11 @@ class Protocol(NamedTuple):
     def save(self, path: str | Path, *, sample_rate_hz: float = 100.0) -> None:
         """Write the touches as a CSV with so many rows a second, which a scene takes as a recorded touch, too; none
         while the sensor is off."""
-        time_s = np.arange(0.0, self.time_s[-1], 1.0 / float(checks.positive("sample_rate_hz", sample_rate_hz)))
+        rate_hz = float(checks.positive("sample_rate_hz", sample_rate_hz))
+        time_s = np.arange(self.time_s[-1] * rate_hz) / rate_hz
         time_s = time_s[~is_off(time_s, self.time_s, self.force_n)]
         columns = [np.interp(time_s, self.time_s, values) for values in self[1:]]
-        rows = (f"{t:.6g},{n:.4f},{p:.4f}" for t, n, p in zip(time_s.tolist(), *columns, strict=True))
+        rows = (f"{t!r},{n:.4f},{p:.4f}" for t, n, p in zip(time_s.tolist(), *columns, strict=True))
         write_text(Path(path), "\n".join(["time_s,force_n,proximal_share", *rows]) + "\n")
 
 

@@ -15,6 +15,7 @@ from nailoptics.scene.protocol import (
     LEVEL_N,
     REST_S,
     SIDE_S,
+    Protocol,
     protocol,
 )
 
@@ -47,6 +48,13 @@ def test_the_command_writes_the_touch_of_the_profile(tmp_path):
         expected = np.interp(at_s, drawn.recorded_time_s, getattr(drawn, name))
         assert np.array(getattr(read, name)) == pytest.approx(expected, abs=1e-4)
     assert protocol(3).force_n.tolist() != protocol(4).force_n[: len(protocol(3).force_n)].tolist()
+
+
+def test_a_protocol_of_fast_samples_has_times_that_rise(tmp_path):
+    drawn = Protocol(np.array([0.0, 100.0, 101.0]), np.full(3, 0.5), np.ones(3))
+    drawn.save(tmp_path / "fast.csv", sample_rate_hz=2000.0)
+    read_s = np.array([float(row.partition(",")[0]) for row in (tmp_path / "fast.csv").read_text().splitlines()[1:]])
+    assert read_s == pytest.approx(np.arange(202000) / 2000.0, abs=1e-9)
 
 
 def test_a_protocol_of_one_side_or_of_no_seed_is_refused(tmp_path, capsys):

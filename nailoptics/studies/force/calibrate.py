@@ -175,7 +175,7 @@ def _judged(subject: Subject, recordings: Sequence[Recording]) -> Subject:
         # Errors are of the touches that the filter was fitted to, as far as it distinguishes them.
         below = series.select(np.flatnonzero(np.isfinite(series.by_filter.force_high_n)))
         force_n, low_n, high_n = below.by_filter[:3]
-        touches = touches_by_kind(below.force_n, force_n, (low_n, high_n), below.is_proximal, below.is_still)
+        touches = touches_by_kind(below.force_n, force_n, (low_n, high_n), below.site, below.is_still)
     outliers = float(series.is_outlier[series.is_still].mean())
     quality = replace(subject.quality, rms_n=touches["all"]["rms_n"], outliers=outliers, touches=touches)
     return replace(subject, comparisons=baselines, ensemble=ensemble, quality=quality)

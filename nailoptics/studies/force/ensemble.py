@@ -25,6 +25,8 @@ LAGS_S = np.array([0.15, 0.5, 1.5, 4.0])
 # Readings at rest are the mean of the first seconds at rest, and follow slowly wherever the finger rests later, down to
 # a part where the main components are far from it, in their units: touches taken for rest, or drift. [s, s, 1, 1]
 FIRST_REST_S, ZERO_S, REST_SPREAD, LEAST_NEARNESS = 6.0, 30.0, 0.6, 0.25
+# A reading that is missing for longer leaves the force to the filter. [s]
+MISSING_S = 0.25
 # Principal components of the readings that are features, the main ones of these, and the two pressures of the filter.
 COMPONENTS, MAIN_COMPONENTS, PRESSURES = 4, 2, 2
 # Exponent of the kernel for features that lie a standard deviation each apart. [1]
@@ -49,7 +51,8 @@ class Features:
         self._zero, self._last, self._means, self._rest_s = np.zeros(0), np.zeros(0), np.zeros(0), 0.0
 
     def over_rest(self, volts: Array, is_resting: NDArray[np.bool_], since_s: Array) -> Array:
-        """ln volts of the next samples (R, T) less those at rest; a gap repeats the reading before it, or is 0.
+        """ln volts of the next samples (R, T) less those at rest; a gap repeats the reading before it, NaN after
+        MISSING_S, and before the first reading at rest, but where there was none at all before.
 
         is_resting : (T,) bool. since_s : (T,) float. Time from sample to sample. [s]
         """
@@ -57,16 +60,18 @@ class Features:
         for k, (now, rests, step_s) in enumerate(zip(ln_v.T, is_resting, since_s, strict=True)):
             if not self._zero.size or step_s > LONGEST_GAP_S:
                 self._zero = self._last = np.full_like(now, np.nan)
-                self._rest_s = step_s = 0.0
-            self._zero = np.where(np.isfinite(self._zero), self._zero, now)
+                self._missing_s, self._rest_s, step_s = np.zeros_like(now), 0.0, 0.0
+            self._missing_s = np.where(np.isfinite(now), 0.0, self._missing_s + step_s)
             self._last = np.where(np.isfinite(now), now, self._last)
+            if rests or np.isnan(self._zero).all():
+                self._zero = np.where(np.isfinite(self._zero), self._zero, now)
             if rests:
                 self._rest_s += step_s
                 first = step_s / self._rest_s if 0.0 < self._rest_s < FIRST_REST_S else 0.0
-                off = np.nan_to_num(self._last - self._zero)
+                off = np.nan_to_num(now - self._zero)
                 nearness = np.exp(-0.5 * ((self.components[:MAIN_COMPONENTS] @ off / REST_SPREAD) ** 2).sum())
                 self._zero = self._zero + max(first, -np.expm1(-step_s / ZERO_S) * max(nearness, LEAST_NEARNESS)) * off
-            out[:, k] = np.nan_to_num(self._last - self._zero)
+            out[:, k] = np.where(self._missing_s > MISSING_S, np.nan, self._last - self._zero)
         return out
 
     def with_memory(self, over_rest: Array, pressure_n: Array, since_s: Array) -> Array:
@@ -75,7 +80,7 @@ class Features:
         over_rest : (R, *S, T) float. pressure_n : (2, *S, T) float. Of the filter, times the contact's areas. [N]
         since_s : (T,) float. Time from sample to sample. [s]
         """
-        now = np.concatenate([np.tensordot(self.components, over_rest, axes=1), pressure_n])
+        now = np.concatenate([np.tensordot(self.components, np.nan_to_num(over_rest), axes=1), pressure_n])
         out = np.concatenate([now[None]] * (1 + len(LAGS_S)))
         for k, step_s in enumerate(since_s):
             if not self._means.size or step_s > LONGEST_GAP_S:

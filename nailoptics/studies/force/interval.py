@@ -185,8 +185,8 @@ def _site_probabilities(share: Array, error: Array) -> Array:
 class ForceEstimator:
     """A subject's force from the filter's estimates and the readings of samples that come one after another.
 
-    It is the ensemble's where there is one, else the filter's; where that may be 0, so may it. Readings over rest, and
-    all memory, begin with the first sample, which is taken for one of an untouched finger.
+    It is the ensemble's where there is one and no reading is missing, else the filter's, and may be 0 where that may.
+    Readings over rest, and all memory, begin with the first sample, which is taken for one of an untouched finger.
     """
 
     def __init__(self, subject: Subject) -> None:
@@ -202,7 +202,7 @@ class ForceEstimator:
 
         volts : (R, T) float. since_s : (T,) float. Time from sample to sample. [s]
         """
-        by_filter = self._interval.estimate(estimates)
+        by_filter, since_s = self._interval.estimate(estimates), np.where(estimates.informed, since_s, np.inf)
         over_rest = self._features.over_rest(volts, by_filter.force_n < REST_FORCE_N, since_s)
         force = by_filter
         if (ensemble := self._ensemble) is not None:
@@ -211,7 +211,7 @@ class ForceEstimator:
             low_n = np.where(by_filter.force_low_n > 0.0, low_n, 0.0)
             error = ensemble.share_error
             within = ndtri(QUANTILES[1]) * by_share(error[:, None], share)
-            force = by_filter._replace(
+            learnt = by_filter._replace(
                 force_n=force_n,
                 force_low_n=low_n,
                 force_high_n=high_n,
@@ -220,6 +220,8 @@ class ForceEstimator:
                 proximal_share_high=np.minimum(share + within, 1.0),
                 **dict(zip(SITE_PROBABILITIES, _site_probabilities(share, error), strict=True)),
             )
+            known = np.isfinite(over_rest).all(0)
+            force = ForceEstimate(*(np.where(known, *column) for column in zip(learnt, by_filter, strict=True)))
         # Where there may be no touch, none of the sides is any more likely.
         unknown = dict.fromkeys(SITE_PROBABILITIES, 1.0 / 3.0) | {"proximal_share_low": 0.0, "proximal_share_high": 1.0}
         at_rest = {name: np.where(force.force_low_n <= 0.0, x, getattr(force, name)) for name, x in unknown.items()}

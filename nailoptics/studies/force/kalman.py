@@ -287,7 +287,7 @@ class KalmanFilter:
     def restart(self) -> None:
         """Return to the prior of an untouched finger."""
         self.state, self.covariance = self.model.initial()
-        self.informed = False
+        self.informed, self._unread_s = False, 0.0
         self.relaxed_n_per_cm2 = np.zeros(2)
         # Readings less drift, and their recent change. [V]
         self._blood_v, self._moved_v = self.model.measurement(self.state)[0], np.zeros(len(self.subject.rest_v))
@@ -303,13 +303,14 @@ class KalmanFilter:
         if since_s is not None:
             self.predict(since_s)
         valid = np.isfinite(volts)
-        self.informed |= bool(valid.any())
+        if valid.any():
+            self.informed, self._unread_s = True, 0.0
         variance = self.subject.measurement_noise(self._blood_v, self._moved_v, since_s)
         gate = 2.0 * float(gammaincinv(max(valid.sum(), 1) / 2, OUTLIER_GATE))  # quantile of chi-squared
         nis = self._update(volts, valid, variance, gate)
-        # Pseudo-measurement of zero touch, weighted by the probability that the finger rests.
+        # Pseudo-measurement of zero touch, weighted by the probability that the finger rests, which readings show.
         touch, covariance = self.state[TOUCH], self.covariance[TOUCH, TOUCH]
-        odds, elapsed_s = rest_odds(touch, covariance), min(since_s or 0.0, LONGEST_GAP_S)
+        odds, elapsed_s = rest_odds(touch, covariance), min(since_s or 0.0, LONGEST_GAP_S) if valid.any() else 0.0
         information = odds / (1.0 + odds) * elapsed_s / ZERO_STDERR_N_PER_CM2_RT_S**2
         gain = self.covariance[:, TOUCH] * information @ np.linalg.inv(np.eye(2) + covariance * information)
         self.state = self.state - gain @ touch
@@ -328,7 +329,8 @@ class KalmanFilter:
 
     def predict(self, since_s: float) -> None:
         """Predict the next sample, or restart."""
-        if since_s > LONGEST_GAP_S:
+        self._unread_s += since_s
+        if self._unread_s > LONGEST_GAP_S or not self.informed:
             self.restart()
             return
         self.model.resolve_harmonics(since_s)

@@ -16,6 +16,7 @@ from ...scene.importers.sensor_recordings import STDIN, Recording, check_known
 from ...sensor.electronics import recorded_at_limit
 from ...variables import Estimate, Variables, described
 from ...version import code_attributes
+from .ensemble import MISSING_S
 from .interval import ForceEstimate, ForceEstimator
 from .kalman import KalmanFilter, PressureEstimate, estimate_pressures, stacked
 from .person import SIDES, Array
@@ -27,9 +28,9 @@ from .subject import Subject, load_subject, parse_subject
 MOST_OUTLIERS, OVER_CALIBRATION, MOST_CHI2 = 0.03, 2.0, 1.5
 # A switch that acts further than this from where the known force would have it is not late, but wrong. [s]
 LATEST_S = 1.0
-# Live samples by whose times the rate is checked.
-FIRST_SAMPLES = 10
-# Patterns of a misfit are named where they explain this fraction of it.
+# Live samples by whose times the rate is checked, at least and at most.
+RATE_SAMPLES = 10, 50
+# The pattern that explains most of a misfit is named where that is this fraction.
 EXPLAINED = 0.8
 
 
@@ -66,6 +67,10 @@ def predict(
     result = _dataset(subject, recording, estimates, (force, filter_n, over_rest), known_n).assign(
         _event_variables(recording.time_s, force.force_n, known_n, press_n=press_n, release_n=release_n)
     )
+    missing = (np.isnan(over_rest) & estimates.informed).sum(1)
+    if absent := [f"{name} ({count})" for name, count in zip(recording.names, missing, strict=True) if count]:
+        long = f"samples for longer than {MISSING_S:g} s or since before it was read at rest"
+        warnings.append(f"{', '.join(absent)} missing in so many {long}: force there is the filter's alone.")
     by_side = {f"open_above_{side}_n": force_n for side, force_n in estimator.open_above_n.items()}
     warnings = [*filter(None, [subject.quality.fault]), *warnings]
     if (is_open := result.attrs["touch_open_above"]) > 0.5:
@@ -118,7 +123,7 @@ def predict_live(
 
     Raises: InputError for volts of other readings, times out of order, or too few samples in a second.
     """
-    subject, last_s, first_s = _subject(subject), None, np.zeros(0)
+    subject, recent_s = _subject(subject), np.zeros(0)
     kalman, estimator, names = KalmanFilter(subject), ForceEstimator(subject), subject.light.names
     for sample in samples:
         try:
@@ -129,17 +134,18 @@ def predict_live(
         except (TypeError, ValueError):
             example = (0.0, dict.fromkeys(names, 0.5))
             raise InputError(f"sample {sample!r:.100}: give a time in s and numbers in V, as {example}.") from None
-        if last_s is not None and not time_s > last_s:
-            raise InputError(f"{where} does not come after {last_s:.15g}; times must rise.")
-        if len(first_s) < FIRST_SAMPLES and len(first_s := np.append(first_s, time_s)) == FIRST_SAMPLES:
-            sensor_recordings.check_rate(first_s, where)
+        if recent_s.size and not time_s > recent_s[-1]:
+            raise InputError(f"{where} does not come after {recent_s[-1]:.15g}; times must rise.")
+        recent_s = np.append(recent_s, time_s)[-RATE_SAMPLES[1] :]
+        if len(recent_s) >= RATE_SAMPLES[0]:
+            sensor_recordings.check_rate(recent_s, where)
         if np.nanmax(np.abs(volts), initial=0.0) > sensor_recordings.MOST_VOLTS:
             raise InputError(f"{where} {sensor_recordings.NOT_VOLTS}.")
         # A converter at its limit holds no information.
         volts = np.where(recorded_at_limit(volts, subject.light.range_v), np.nan, volts)
-        since_s: float | None = None if last_s is None else time_s - last_s
+        since_s = float(np.diff(recent_s)[-1]) if len(recent_s) > 1 else None
         estimate = kalman.update_sample(volts, since_s)
-        last_s, force = time_s, estimator.estimate(stacked([estimate]), volts[:, None], np.array([since_s or 0.0]))[0]
+        force = estimator.estimate(stacked([estimate]), volts[:, None], np.array([since_s or 0.0]))[0]
         columns = (float(column[0]) for column in force.where(estimate.informed)[: len(FORCE_COLUMNS)])
         yield LiveForce._make((time_s, *columns, bool(estimate.outlier)))
 
@@ -189,9 +195,9 @@ def _dataset(
     force, filter_n, over_rest = estimated
     compared_n = {name: baseline.force_n(over_rest) for name, baseline in subject.comparisons.items()}
     compared_n["filter"] = filter_n
-    where = force.proximal_share if recording.site is None else np.nan_to_num(recording.site, nan=0.5)
-    bounds_n, still = (force.force_low_n, force.force_high_n), is_still(recording.time_s, np.nan_to_num(known_n))
-    touches = touches_by_kind(known_n, force.force_n, bounds_n, where > 0.5, still)
+    where = force.proximal_share if recording.site is None else recording.site
+    bounds_n, still = (force.force_low_n, force.force_high_n), is_still(recording.time_s, known_n)
+    touches = touches_by_kind(known_n, force.force_n, bounds_n, where, still)
     pressures_pa = (PA_PER_N_PER_CM2 * column for column in (force.pressure_n_per_cm2, force.pressure_stderr_n_per_cm2))
     of_sides = zip(SIDES, *pressures_pa, strict=True)
     data = described(
@@ -231,7 +237,8 @@ def _dataset(
 def _event_variables(time_s: Array, force_n: Array, known_n: Array, **thresholds_n: float) -> Variables:
     """When the switch acts on the estimated force, and how long after it would on the known one, below 0 before, NaN
     where that does not act within LATEST_S."""
-    switched, true = ([*events(time_s, series, **thresholds_n)] for series in (force_n, np.nan_to_num(known_n)))
+    known = ((time_s[at], series[at]) for series in (force_n, known_n) for at in [np.isfinite(series)])
+    switched, true = ([*events(at_s, at_n, **thresholds_n)] for at_s, at_n in known)
     at_s, kinds = np.array([at for at, _ in switched], float), np.array([kind for _, kind in switched], dtype=str)
     near_s = ((at - t for t, kind in true if kind == key and abs(at - t) <= LATEST_S) for at, key in switched)
     late_s = [min(latencies_s, key=abs, default=np.nan) for latencies_s in near_s]
@@ -247,15 +254,9 @@ def _misfit(subject: Subject, recording: Recording, estimates: PressureEstimate,
     if outliers <= max(MOST_OUTLIERS, OVER_CALIBRATION * subject.quality.outliers) and chi2 <= MOST_CHI2:
         return ""
     off = np.nanmedian(recording.volts, axis=1) - (subject.readings.offset_v + subject.rest_v)
-    patterns = {
-        "ambient light, or another person": np.ones_like(off),
-        "a lifted sensor or other gain, or another person": subject.rest_v,
-    }
-    for name, shape in patterns.items():
-        along = (off @ shape) ** 2 / ((shape @ shape) * max(float(off @ off), 1e-30))
-        if along > EXPLAINED:
-            return name
-    return "another person or place, or motion"
+    patterns = {"ambient light": np.ones_like(off), "a lifted sensor or other gain": subject.rest_v}
+    along, name = max(((off @ shape) ** 2 / (shape @ shape), name) for name, shape in patterns.items())
+    return f"{name}, or another person" if along > EXPLAINED * (off @ off) else "another person or place, or motion"
 
 
 def _without_saturated(subject: Subject, recording: Recording) -> tuple[Recording, list[str]]:

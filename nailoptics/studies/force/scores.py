@@ -21,7 +21,9 @@ TOUCH_SCORES = ("rms_n", "relative_error", "coverage_95", "half_width_n")
 
 def is_still(time_s: Array, force_n: Array) -> NDArray[np.bool_]:
     """Whether a force (T,) has hardly changed for a while."""
-    return np.abs(force_n - np.interp(time_s - SETTLING_S, time_s, force_n)) < STILL_N
+    known = np.isfinite(force_n)
+    before_n = np.interp(time_s - SETTLING_S, time_s[known], force_n[known]) if known.any() else force_n
+    return np.abs(force_n - before_n) < STILL_N
 
 
 def runs(is_within: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -39,15 +41,16 @@ def touches_by_kind(
     force_n: Array,
     estimated_n: Array,
     bounds_n: tuple[Array, Array],
-    is_proximal: NDArray[np.bool_],
+    site: Array,
     still: NDArray[np.bool_],
 ) -> dict[str, dict[str, float]]:
     """rms error [N] and its part of the rms force, coverage and half width [N] of the interval, by kind of touch.
 
     force_n, estimated_n : (T,) float. Known and estimated. bounds_n : (T,) float each, of the 95 % interval.
+    site : (T,) float. Proximal above 0.5, distal below; NaN is no side's.
     """
     kinds = {"all": np.full(force_n.shape, True)}
-    for side, at_side in (("proximal", is_proximal), ("distal", ~is_proximal)):
+    for side, at_side in (("proximal", site > 0.5), ("distal", site < 0.5)):
         kinds |= {f"{side} still": at_side & still, f"{side} moving": at_side & ~still}
     low_n, high_n = bounds_n
     inside, half_n = (low_n <= force_n) & (force_n <= high_n), 0.5 * (high_n - low_n)

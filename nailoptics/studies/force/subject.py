@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, AliasChoices, BaseModel, BeforeValidator, Field, TypeAdapter, ValidationError
+from pydantic import AliasChoices, BaseModel, BeforeValidator, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
 from ...checks import as_input_error
@@ -23,8 +23,6 @@ from .scores import Baseline
 
 # No calibration finds more: factors on the scene's constants.
 MOST_FACTOR = 100.0
-# Correlations of a calibration are known to rounding but for this.
-ROUNDING = 1e-3
 # A calibration whose own touches come out further off than this fraction of their size, rms, does not fit its person;
 # those of files without touches, further than this. [1, N]
 MOST_ERROR, MOST_RMS_N = 0.15, 0.15
@@ -132,20 +130,6 @@ def _factor_values(table: Any) -> Any:
     return [factor["value"] for factor in table.values()] if isinstance(table, dict) else table
 
 
-def _covariance(matrix: Array) -> Array:
-    """The matrix, if it is a covariance."""
-    variance = np.diag(matrix) if matrix.ndim == 2 and matrix.shape[0] == matrix.shape[1] else np.array(-1.0)
-    if not ((variance >= 0) & (variance <= MOST_GAIN**2)).all():
-        raise ValueError("must be square, with variances on its diagonal")
-    scale = np.sqrt(np.where(variance > 0, variance, 1.0))
-    correlation = matrix / np.outer(scale, scale)
-    # A covariance is the inverse of a matrix whose numbers differ by many orders: it is symmetric but for rounding.
-    asymmetry, mean = np.abs(correlation - correlation.T).max(), 0.5 * (correlation + correlation.T)
-    if asymmetry > ROUNDING or np.linalg.eigvalsh(mean).min() < -ROUNDING:
-        raise ValueError("must be symmetric and positive semidefinite")
-    return matrix
-
-
 @dataclass(frozen=True, kw_only=True, config=TABLE)
 class Subject(Displayed):
     """A person's calibrated sensor, P factors and R readings.
@@ -168,7 +152,7 @@ class Subject(Displayed):
     noise: Noise
     scene: NominalFinger
     light: ReadingTable
-    covariance: Annotated[Numbers, AfterValidator(_covariance)]
+    covariance: Annotated[Numbers, within(0, MOST_GAIN**2)]
     ensemble: Ensemble | None = None
     comparisons: dict[str, Baseline] = Field(default_factory=dict)
 

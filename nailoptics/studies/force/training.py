@@ -85,9 +85,9 @@ class CalibrationSeries:
         return CalibrationSeries(ForceEstimate(*(column[..., samples] for column in self.by_filter)), **columns)
 
     @property
-    def is_proximal(self) -> NDArray[np.bool_]:
-        """Whether the touch is of the proximal side alone, (n,) bool."""
-        return np.asarray(self.site > 0.5)
+    def sides(self) -> NDArray[np.bool_]:
+        """Whether the touch is of the proximal side alone, and of the distal one, (2, T) bool."""
+        return np.stack([self.site == 1.0, self.site == 0.0])
 
 
 def calibration_series(subject: Subject, recordings: Sequence[Recording]) -> CalibrationSeries:
@@ -99,12 +99,13 @@ def calibration_series(subject: Subject, recordings: Sequence[Recording]) -> Cal
     estimates = estimate_pressures(subject, time_s, every.volts)
     by_filter, no_touches = ForceInterval(subject).estimate(estimates), Features(np.empty((0, len(every.volts))))
     over_rest = no_touches.over_rest(every.volts, force_n < REST_FORCE_N, since_s)
-    touches, is_varied = runs(force_n >= REST_FORCE_N), force_n <= TOP_N
+    touches, is_varied = runs(force_n >= REST_FORCE_N), (force_n <= TOP_N) & np.isfinite(over_rest).all(0)
     hard = [span for span in touches if force_n[slice(*span)].max() > TOP_N]
     # A touch that closes the vessels is left out from there on with its recovery, unless others are too few: its slow
     # rise is the only one of the protocol.
     for start, stop in hard if len(touches) - len(hard) >= LEAST_TOUCHES_OF_ALL else ():
-        is_varied[start + np.argmax(force_n[start:stop] > TOP_N) : stop + round(AFTER_S * RATE_HZ)] = False
+        after = np.searchsorted(time_s, time_s[stop - 1] + AFTER_S, side="right")
+        is_varied[start + np.argmax(force_n[start:stop] > TOP_N) : after] = False
     block = np.searchsorted(touches[:, 1], np.arange(len(force_n)), side="right")
     donning, site = np.repeat(np.arange(len(parts)), [len(part.time_s) for part in parts]), np.asarray(every.site)
     _, counts = np.unique(np.stack([donning, site])[:, touches[:, 0]], axis=1, return_counts=True)
@@ -148,13 +149,13 @@ def train(subject: Subject, series: CalibrationSeries) -> tuple[Ensemble, dict[s
     open_above_n = np.array([np.quantile(np.append(side, TOP_N), OPEN_FROM) for side in sides])
     ensemble = replace(ensemble, half_width_n=half_width_n, open_above_n=open_above_n)
     # The interval of a group of touches is that which the others give.
-    half_n, side = np.empty_like(held_out_n), np.where(samples.is_proximal, 0, 1)
+    half_n, share = np.empty_like(held_out_n), np.stack([samples.site, 1.0 - samples.site])
     for k in np.unique(samples.fold):
         at = samples.fold == k
         width_n = _conformal_half_width(terms, samples, held_out_n, ~at) @ terms[:, at]
-        half_n[at] = width_n[side[at], np.arange(at.sum())]
+        half_n[at] = (np.nan_to_num(share[:, at], nan=0.5) * width_n).sum(0)
     bounds_n = np.maximum(held_out_n - half_n, 0.0), held_out_n + half_n
-    return ensemble, touches_by_kind(samples.force_n, held_out_n, bounds_n, samples.is_proximal, samples.is_still)
+    return ensemble, touches_by_kind(samples.force_n, held_out_n, bounds_n, samples.site, samples.is_still)
 
 
 def _features_with_drift(subject: Subject, series: CalibrationSeries, components: Array) -> Array:
@@ -176,7 +177,7 @@ def _with_both_sides(subject: Subject, features: Array, samples: CalibrationSeri
     is_touched, pairs = samples.force_n >= REST_FORCE_N, [np.empty((2, 0), int)]
     for fold in np.unique(samples.fold):
         in_fold = is_touched & (samples.fold == fold)
-        proximal, distal = (np.flatnonzero(in_fold & (samples.site == site)) for site in (1.0, 0.0))
+        proximal, distal = (np.flatnonzero(in_fold & side) for side in samples.sides)
         if proximal.size and distal.size:
             _, alike = KDTree(samples.before_n[:, distal].T).query(samples.before_n[:, proximal].T)
             pairs.append(np.stack([proximal, distal[alike]]))
@@ -210,7 +211,7 @@ def _trained(features: Array, samples: CalibrationSeries, components: Array) -> 
     by_member = np.stack(list(held_out.values()))
     # Those of either side, which few touches of it leave at those of both together, and these at the filter alone.
     of_both = _weights(by_member, samples, np.eye(len(by_member))[0])
-    sides = (np.flatnonzero(side) for side in (samples.is_proximal, ~samples.is_proximal))
+    sides = (np.flatnonzero(side) for side in samples.sides)
     weights = [_weights(by_member[:, at], samples.select(at), of_both) if at.size else of_both for at in sides]
     shares = dict(zip(held_out, np.transpose(weights), strict=True))
     polynomial_n = np.zeros((2, len(terms.indices)))
@@ -279,7 +280,7 @@ def _weights(held_out: Array, samples: CalibrationSeries, few: Array) -> Array:
 def _conformal_half_width(terms: Array, samples: CalibrationSeries, held_out_n: Array, at: NDArray[np.bool_]) -> Array:
     """Coefficients (2, k) of the 95 % interval's half width: quantile of errors held out over their usual size. [N]"""
     error_n, touched, by_side = np.abs(held_out_n - samples.force_n), at & (samples.force_n >= TOUCH_N), []
-    for side in (samples.is_proximal, ~samples.is_proximal):
+    for side in samples.sides:
         # Of a side without touches it is that of all.
         of_side = next(some for some in (touched & side, touched, at) if some.any())
         usual_n = np.maximum(nnls(terms[:, of_side].T, error_n[of_side])[0], 1e-6)

@@ -9,14 +9,16 @@ import pytest
 from scipy.signal import lfilter
 
 from nailoptics.scene.importers.sensor_recordings import Recording, recording_csv
+from nailoptics.studies.force import training
 from nailoptics.studies.force.body_noise import REST_FORCE_N
 from nailoptics.studies.force.calibrate import calibrate_with
-from nailoptics.studies.force.ensemble import LAGS_S, ZERO_S, Features, mixed
+from nailoptics.studies.force.ensemble import LAGS_S, MISSING_S, ZERO_S, Features, mixed
 from nailoptics.studies.force.fit import averaged
 from nailoptics.studies.force.person import LONGEST_GAP_S
 from nailoptics.studies.force.predict import csv_rows, live, predict
+from nailoptics.studies.force.scores import touches_by_kind
 from nailoptics.studies.force.subject import Subject, parse_subject, subject_toml
-from nailoptics.studies.force.training import RATE_HZ, calibration_series
+from nailoptics.studies.force.training import AFTER_S, RATE_HZ, TOP_N, calibration_series
 
 # Readings of a body that follows a touch more slowly than any vessel of the model. [s]
 UNLIKE_S = 0.5
@@ -71,6 +73,44 @@ def test_errors_are_of_touches_that_were_held_out():
     assert ensemble.errors_n["ensemble"] < 0.6 * ensemble.errors_n["filter"]
     # Half of the 0.293 N by which a filter errs that takes a part of the pressure's waves for light.
     assert ensemble.errors_n["ensemble"] < 0.146
+
+
+def test_weights_of_a_side_are_of_its_touches_alone(monkeypatch):
+    """Touches that are made of both sides are of neither; of such a calibration is trained on, too."""
+    sites, own = [], training._weights
+
+    def weights(held_out, samples, few):
+        sites.append(np.unique(samples.site))
+        return own(held_out, samples, few)
+
+    series = calibration_series(subject(), [unlike(made_sensor.record_touches(seed=1))])
+    monkeypatch.setattr(training, "_weights", weights)
+    training.train(subject(), series)
+    assert np.isnan(sites[0]).any() and sites[1:] == [[1.0], [0.0]]
+
+
+def test_after_a_hard_touch_a_second_is_left_out_at_any_rate():
+    force_n = 1.2 * np.tile(made_sensor.touches(), 4)
+    recording = made_sensor.record(force_n, np.repeat([1.0, 0.0], force_n.size // 2), seed=1)
+    for every in (2, 4):
+        read = recording.select(slice(None, None, every))
+        series, hard = calibration_series(subject(), [read]), read.force_n > TOP_N
+        (end, *_), out_s = read.time_s[:-1][hard[:-1] & ~hard[1:]], read.time_s[~series.is_varied]
+        begin = read.time_s[np.argmax(hard)]
+        rested = read.time_s[(read.time_s > end) & (read.force_n < REST_FORCE_N)][0]
+        first = out_s[out_s < rested + 2.0]
+        after_s, step_s = first[-1] - rested, every * made_sensor.STEP_S
+        assert first[0] == begin and AFTER_S - 2.0 * step_s < after_s < AFTER_S - step_s + 1e-6
+
+
+def test_touches_of_both_sides_are_of_neither():
+    force_n, site = np.ones(3), np.array([1.0, 0.0, np.nan])
+    estimated_n, still = np.array([1.1, 0.7, 0.5]), np.ones(3, bool)
+    kinds = touches_by_kind(force_n, estimated_n, (estimated_n, estimated_n), site, still)
+    assert kinds["distal still"]["rms_n"] == pytest.approx(0.3) and kinds["proximal still"]["rms_n"] == pytest.approx(
+        0.1
+    )
+    assert kinds["all"]["rms_n"] == pytest.approx(np.sqrt(0.35 / 3))
 
 
 def test_few_touches_leave_the_filter_alone():
@@ -211,8 +251,27 @@ def test_a_step_of_force_within_one_sample_is_not_overestimated(site):
     assert 0.4 < force_n[-1] and force_n.max() < 1.15 * force_n[-1]
 
 
-def test_a_reading_that_begins_with_a_gap_is_compared_with_its_own_first_value():
-    """Expected: 0 as long as it is a gap, then its change since its first value, whatever the other readings do."""
-    ln_v = np.array([[-1.0, -1.0, -0.9, -0.8], [np.nan, np.nan, -2.0, -1.7]])
-    over_rest = Features(np.empty((0, 2))).over_rest(np.exp(ln_v), np.zeros(4, bool), np.full(4, 0.1))
-    assert over_rest == pytest.approx(np.array([[0.0, 0.0, 0.1, 0.2], [0.0, 0.0, 0.0, 0.3]]))
+def test_a_reading_that_begins_with_a_gap_is_compared_with_its_own_first_value_at_rest():
+    """Expected: unknown until then, in a touch, too; then its change since, whatever the other readings do."""
+    ln_v = np.array([[-1.0, -1.0, -0.9, -1.0, -0.8], [np.nan, np.nan, -2.5, -2.0, -1.7]])
+    rests = np.array([True, True, False, True, False])
+    over_rest = Features(np.zeros((1, 2))).over_rest(np.exp(ln_v), rests, np.full(5, 1e-9))
+    expected = np.array([[0.0, 0.0, 0.1, 0.0, 0.2], [np.nan, np.nan, np.nan, 0.0, 0.3]])
+    assert over_rest == pytest.approx(expected, nan_ok=True)
+
+
+def test_a_reading_that_is_lost_leaves_the_force_to_the_filter_and_is_named():
+    """Rationale: regressions do without no reading; its last one is no reading of now. Expected: of the filter while it
+    is lost for longer than a quarter of a second, as is its interval, and else of the ensemble."""
+    recording = unlike(made_sensor.record(made_sensor.cycle(0.6, lasting_s=6.0), "proximal", seed=2))
+    whole, lost = predict(subject(), recording), slice(*np.searchsorted(recording.time_s, [2.995, 5.0]))
+    assert len(whole.attrs["warnings"]) == 1 and (whole.force_n != whole.force_filter_n).mean() > 0.9
+    recording.volts[2, lost] = np.nan
+    estimated = predict(subject(), recording)
+    by_filter, filtered = slice(lost.start + round(MISSING_S / made_sensor.STEP_S), lost.stop), estimated.force_filter_n
+    assert np.array_equal(estimated.force_n[by_filter], filtered[by_filter])
+    assert (np.delete(estimated.force_n.values != filtered.values, np.r_[by_filter]))[100:].mean() > 0.9
+    alone = predict(replace(subject(), ensemble=None), recording)
+    assert np.array_equal(estimated.force_high_n[by_filter], alone.force_high_n[by_filter])
+    _, warning = estimated.attrs["warnings"]
+    assert warning.startswith(f"{recording.names[2]} ({by_filter.stop - by_filter.start}) missing")

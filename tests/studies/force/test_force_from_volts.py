@@ -20,6 +20,7 @@ from nailoptics.studies.force.kalman import DIAMETERS, DIVERGED, KalmanFilter
 from nailoptics.studies.force.person import NAMES, SPREAD_LN
 from nailoptics.studies.force.predict import _event_variables, events, live, predict
 from nailoptics.studies.force.reading_table import POWERS, ReadingTable
+from nailoptics.studies.force.scores import is_still
 from nailoptics.studies.force.subject import DYNAMIC_ERROR, READING_CORRELATION_S, Subject, parse_subject, subject_toml
 
 # Four readings whose logarithm falls in a line with both zones' blood, as traced light does but for a few percent.
@@ -153,6 +154,17 @@ def test_a_press_of_no_known_touch_nearby_has_no_latency() -> None:
     assert np.allclose(latency_s, [0.1, -0.1, np.nan, np.nan], atol=0.021, equal_nan=True)
 
 
+def test_gaps_of_a_known_force_are_no_touches_of_nothing() -> None:
+    """Expected: latencies of a force that is known in every other sample as of one that is known in all."""
+    time_s = np.arange(0.0, 12.0, 0.02)
+    known_n = np.interp(time_s, [2.0, 4.0, 6.0, 8.0], [0.0, 1.0, 1.0, 0.0])
+    estimated_n, gaps = np.interp(time_s - 0.1, time_s, known_n), np.where(np.arange(time_s.size) % 2, np.nan, known_n)
+    late = [_event_variables(time_s, estimated_n, one, press_n=0.5, release_n=0.3) for one in (known_n, gaps)]
+    whole_s, holed_s = (np.asarray(one["event_latency_s"][1]) for one in late)
+    assert whole_s == pytest.approx(0.1, abs=0.021) and holed_s == pytest.approx(whole_s, abs=0.021)
+    assert np.array_equal(is_still(time_s, gaps)[::2], is_still(time_s, known_n)[::2])
+
+
 def test_as_many_outliers_as_the_calibration_had_are_no_misfit(subject: Subject, table: ReadingTable) -> None:
     recorded = _record(table, _steps(), "proximal", seed=10)
     # Single readings that no touch explains.
@@ -262,14 +274,19 @@ def test_model_errors_while_the_blood_moves_are_no_outliers() -> None:
 @pytest.mark.parametrize(
     ("changed", "looks_like"),
     [
-        (lambda volts: volts + 0.05, "ambient light, or another person"),
-        (lambda volts: 0.8 * volts, "a lifted sensor or other gain, or another person"),
+        (lambda volts: volts + 0.3, "ambient light, or another person"),
+        (lambda volts: 0.6 * volts, "a lifted sensor or other gain, or another person"),
         (lambda volts: volts[::-1], "another person or place, or motion"),
     ],
 )
 def test_readings_that_do_not_fit_are_named(subject: Subject, table: ReadingTable, changed, looks_like: str) -> None:  # type: ignore[no-untyped-def]
-    recorded = _record(table, _steps(), "proximal", seed=10)
-    summary = prediction_summary(predict(subject, replace(recorded, volts=changed(recorded.volts))))
+    """Rests are as uneven as the prototype's, of 0.7 to 1.5 V: light that all readings have alike explains 88 % of a
+    gain that all have alike."""
+    recorded, uneven = _record(table, _steps(), "proximal", seed=10), np.array([3.5, 1.5, 1.5, 3.5])
+    calibrated = {name: uneven * getattr(subject.readings, name) for name in ("gain", "offset_v", "noise_v")}
+    own = replace(subject, readings=replace(subject.readings, **calibrated))
+    read = replace(recorded, volts=changed(uneven[:, None] * recorded.volts))
+    summary = prediction_summary(predict(own, read))
     assert not summary["consistent"]
     assert summary["misfit"] == looks_like
 

@@ -66,6 +66,17 @@ def test_samples_too_slow_for_the_filter_are_refused_whichever_way_they_come(sub
         assert predict(subject, read).sizes["time"] == 50
 
 
+def test_samples_that_become_too_slow_are_refused(subject: Subject) -> None:
+    """Expected: when most of those that the rate is of lie too far apart, and not for one pause."""
+    volts = dict.fromkeys(NAMES, 0.5)
+    times_s = np.cumsum([*np.full(60, 0.02), 0.5, *np.full(60, 0.02), *np.full(60, 0.1)])
+    answers = predict_live(subject, ((time_s, volts) for time_s in times_s.tolist()))
+    read_s = [next(answers).time_s for _ in range(121)]
+    with pytest.raises(InputError, match=r"time_s rises in steps of 0.1 \(10 Hz\)"):
+        read_s.extend(one.time_s for one in answers)
+    assert 121 < len(read_s) < 121 + 30
+
+
 def test_samples_in_python_are_answered_as_a_recording_is_and_one_by_one(subject: Subject) -> None:
     """Expected: with gaps, too, the forces of `predict`; no sample is taken before the one before it is answered."""
     recording = made_sensor.record(made_sensor.cycle(0.6, lasting_s=4.0), "proximal", seed=3)
@@ -121,6 +132,27 @@ def test_before_the_first_reading_force_is_not_known(
     assert np.isnan(force_n[unknown]).all() and np.isfinite(np.delete(force_n, unknown, axis=0)).all()
     assert np.array(live_n) == pytest.approx(force_n, nan_ok=True)
     assert np.isnan(result.known_force_n[unknown]).all() and np.isfinite(result.attrs["rms_n"])
+
+
+def test_rows_without_a_reading_are_a_gap_as_rows_left_out_are(subject: Subject) -> None:
+    """Rationale: a logger goes on while the sensor sends nothing. Expected: within 5 s the touch that was held before,
+    in an interval that widens; NaN from then on, and rest with the first reading, live as in a file."""
+    force_n = np.interp(
+        np.arange(0.0, 9.0, made_sensor.STEP_S), [0.0, 0.5, 1.0, 2.0, 7.0, 7.1], [0, 0, 0.5, 0.5, 0.5, 0]
+    )
+    recording = made_sensor.record(force_n, "distal", seed=3)
+    recording.volts[:, (recording.time_s > 2.0) & (recording.time_s < 7.5)] = np.nan
+    result = predict(subject, recording)
+    lost, long, later = (
+        slice(*np.searchsorted(recording.time_s, span)) for span in ((2.0, 6.9), (7.1, 7.4), (7.6, 9.0))
+    )
+    assert (result.force_low_n[lost] <= 0.5).all() and (result.force_high_n[lost] >= 0.5).all()
+    assert np.abs(result.force_n[lost] - result.force_n[lost.start]).max() < 0.05
+    assert result.force_low_n[lost][-1] < 0.5 * result.force_low_n[lost.start]
+    assert np.isnan(result.force_n[long]).all() and (result.force_n[later] < 0.1).all()
+    volts = [dict(zip(NAMES, row, strict=True)) for row in recording.volts.T.tolist()]
+    live_n = [one.force_n for one in predict_live(subject, zip(recording.time_s.tolist(), volts, strict=True))]
+    assert np.array(live_n) == pytest.approx(result.force_n.values, nan_ok=True)
 
 
 def test_what_senders_add_is_no_fault(subject: Subject, lines: list[str]) -> None:
