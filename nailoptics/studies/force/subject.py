@@ -152,7 +152,7 @@ class Subject(Displayed):
     noise: Noise
     scene: NominalFinger
     light: ReadingTable
-    covariance: Annotated[Numbers, within(0, MOST_GAIN**2)]
+    covariance: Annotated[Numbers, within(0, MOST_GAIN**2, np.diag)]
     ensemble: Ensemble | None = None
     comparisons: dict[str, Baseline] = Field(default_factory=dict)
 
