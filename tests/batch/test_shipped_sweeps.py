@@ -16,8 +16,9 @@ from nailoptics.scene import load_scene, parse_scene
 from .test_run import done_here
 
 SCENES, SWEEPS = data_dir("scenes"), data_dir("scenes") / "sweeps"
-# What a scene is for, where that is not a simulated touch.
+# What a scene is for, where that is not a simulated touch, and what that gives.
 COMMANDS = {"phantom": nail.trace, "nail_colour": nail.colour, "pulse_oximeter": nail.oximeter}
+GIVES = {"phantom": "detected_fraction", "nail_colour": "reflectance", "pulse_oximeter": "ratio_at_rest"}
 # Traced by their studies' own tests, too, and of photographs a sweep by test_studies.
 SLOW, SLOW_SWEEPS = {"nail_colour", "pulse_oximeter"}, {"photographs"}
 LONG = {"calibration", "heartbeat", "prototype"}
@@ -49,7 +50,9 @@ def test_a_shipped_scene_runs_to_its_end(chosen_jit, shared_light, name):
         # Priors that need traces of their own take these of one scene as of another.
         priors = scene.priors.model_copy(update={"own_traces": False, "spread": name in SPREAD})
         scene = scene.model_copy(update={"priors": priors})
-    COMMANDS.get(name, nail.simulate)(scene, photons=20_000, seed=1)
+    result = COMMANDS.get(name, nail.simulate)(scene, photons=20_000, seed=1)
+    given = (result.at() if name == "phantom" else result)[GIVES.get(name, "volts")]
+    assert given.size and (given > 0).all()
 
 
 @pytest.mark.jit

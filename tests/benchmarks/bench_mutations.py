@@ -121,6 +121,13 @@ MUTATIONS = (
         "light/test_transfer.py",
     ),
     Mutation(
+        "the picture of the light lies half a cell off",
+        "light/walk/tallies.py",
+        "self.spacing_mm) - self.spacing_mm / 2 for axis",
+        "self.spacing_mm) for axis",
+        "light/test_finger_walk.py",
+    ),
+    Mutation(
         "the spread of a mean path misses half of what its weight shares with it",
         "light/transfer/records.py",
         "self.path_square - 2 * mean",
@@ -436,6 +443,13 @@ MUTATIONS = (
         "sensor/test_front_end.py",
     ),
     Mutation(
+        "samples are held on 10 pF in every scene",
+        "sensor/front_end.py",
+        "(1e-12 * self.oximeter.hold_pf)",
+        "(1e-12 * 10.0)",
+        "sensor/test_front_end.py",
+    ),
+    Mutation(
         "the noise of infrared goes with the ratio, not with its square",
         "sensor/front_end.py",
         "ratio**2 * relative[..., 1]",
@@ -454,6 +468,13 @@ MUTATIONS = (
         "sensor/volts.py",
         "            drawn[1:] *= np.sqrt(1.0 - memory**2)\n",
         "",
+        "sensor/test_volts.py",
+    ),
+    Mutation(
+        "a lift brings the board nearer to the nail",
+        "sensor/volts.py",
+        "board.adhesive_um + LIFT_UM",
+        "board.adhesive_um - LIFT_UM",
         "sensor/test_volts.py",
     ),
     Mutation(
@@ -513,6 +534,13 @@ MUTATIONS = (
         "studies/force/test_pulp.py",
     ),
     Mutation(
+        "lines of warmer LEDs are shorter in their waves",
+        "studies/oximetry/oxygen.py",
+        'lines("shift_nm", drift * WARMER_K)',
+        'lines("shift_nm", -drift * WARMER_K)',
+        "studies/oximetry/test_oxygen.py",
+    ),
+    Mutation(
         "the error of a slope leaves out that of what it is over",
         "studies/oximetry/recording.py",
         "(left * pulsating + balance * residual**2)",
@@ -525,6 +553,20 @@ MUTATIONS = (
         "ratio * np.hypot(error, bound[1] / bound[0])",
         "ratio * error",
         "studies/placement/test_certificate.py",
+    ),
+    Mutation(
+        "the simplest of all layouts that tie is proposed, however far behind",
+        "studies/placement/objective.py",
+        "    close = [i for i in tied if scores[i].ranked[0] <= (1 + 2 * ALIKE)",
+        "    close = [i for i in tied if scores[i].ranked[0] <= (1 + 20 * ALIKE)",
+        "studies/placement/test_simplest.py",
+    ),
+    Mutation(
+        "what the electronics alone resolve is what is resolved through the body's noise",
+        "studies/placement/result.py",
+        "[score.electronics for score in scores]",
+        "[score.force for score in scores]",
+        "studies/placement/test_place.py",
     ),
     Mutation(
         "the error of a resolution is that without the body's own",

@@ -410,7 +410,8 @@ def test_the_section_shows_the_fluence_of_both_parts_of_the_selected_pair(shown:
 
 
 def test_what_the_page_calls_buildable_is_a_scene(unchanged: Any):
-    """Random moves of every part: what has no problem on the page is read by Python."""
+    """Random moves of every part: what has no problem on the page is read by Python, and what has one is refused, but
+    where the scene's wall would stand elsewhere."""
     rng, buildable = np.random.default_rng(4), 0
     for _ in range(60):
         moves = rng.normal(scale=10 ** rng.uniform(-2, 0.5), size=(40, 3)).tolist()
@@ -424,6 +425,9 @@ def test_what_the_page_calls_buildable_is_a_scene(unchanged: Any):
         if not computed:
             parse_scene(text, name="moved")
             buildable += 1
+        elif not any("where a scene would put its wall" in problem for problem in computed):
+            with pytest.raises(InputError):
+                parse_scene(text, name="moved")
     assert 2 < buildable < 60
 
 

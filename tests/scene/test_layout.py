@@ -3,7 +3,7 @@
 import pickle
 
 import pytest
-from small_scenes import columns_of_photodiodes
+from small_scenes import PLAIN_FINGER, columns_of_photodiodes
 
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
@@ -44,6 +44,16 @@ def test_impossible_copies_and_phantoms_have_none(scene):
         _ = scene.model_copy(update={"board": wide}).layout
     with pytest.raises(InputError, match="phantom has no board"):
         _ = load_scene(data_dir("scenes") / "phantom.toml").layout
+
+
+def test_the_wall_stands_on_the_side_that_is_stated_or_where_the_led_is_farthest():
+    """Expected: midway to the photodiode, which begins 1.2 mm right of the LED and 0.775 mm above it."""
+    scene = parse_scene(PLAIN_FINGER).with_led("ir", position_mm=(-1.8, -1.0), size_mm=(0.2, 0.2))
+    for side, axis, middle_mm in ((None, 0, -1.1), ("left", 0, -1.1), ("below", 1, -0.5125)):
+        (wall,) = scene.with_({"board.barrier_side": side}).layout.barriers
+        assert wall.name == (side or "left") and wall.center_mm[axis] == pytest.approx(middle_mm)
+    with pytest.raises(InputError, match='board.barrier: LED "ir" lies 0 mm beside the photodiodes'):
+        scene.with_({"board.barrier_side": "right"})
 
 
 def test_a_die_as_high_as_the_epoxy_is_refused(scene):

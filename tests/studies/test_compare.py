@@ -84,6 +84,10 @@ def test_light_of_one_path_in_one_zone_is_beer_lambert():
     assert np.abs(result.error.sel(model="beer_lambert", way="fitted")).max() < 1e-5
     assert np.abs(result.error.sel(model="beer_lambert", way="predicted")).max() < 1e-5
     blood = result.sel(sweep="blood", way="predicted")
+    curve, line = (
+        blood.model_reading.sel(model=model) / blood.reading[:, :1].values for model in ("beer_lambert", "taylor")
+    )
+    assert np.allclose(curve, np.exp(-depth), rtol=1e-5) and np.allclose(line, 1 - depth, atol=1e-5)
     exact = (1 - depth - np.exp(-depth)) / (1 - np.exp(-depth[-1]))
     assert np.allclose(blood.error.sel(model="taylor"), exact, atol=1e-5)
     assert np.allclose(blood.part_error.sel(part="truncation"), exact, atol=1e-5)

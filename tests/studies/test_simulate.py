@@ -187,6 +187,16 @@ def test_the_result_tells_what_it_holds_and_how_it_was_made(pressed):
 
 
 @pytest.mark.jit
+def test_the_light_that_is_told_by_region_is_all_that_was_emitted(pressed):
+    """Expected: parts that add up, and on photodiodes what all of them detect, but for the LED's line."""
+    result = pressed["as shipped"].isel(led=0)
+    ends, absorbed = (result[name].to_series() for name in ("energy_fraction", "absorbed_fraction"))
+    assert ends.sum() == pytest.approx(1, abs=1e-9) and absorbed.sum() == pytest.approx(ends["absorbed"], abs=1e-9)
+    assert absorbed["photodiodes"] == pytest.approx(float(result.detected_fraction[:, 0].sum()), rel=0.02)
+    assert min(absorbed[["cover", "bed", "bone", "plate"]]) > 0.02 and (result.energy_fraction_stderr < 2e-3).all()
+
+
+@pytest.mark.jit
 def test_the_reduced_optics_follow_the_traced_volts(pressed):
     """(8) and (9), fitted to small changes, leave less than a third of the change of the outermost photodiodes."""
     result = pressed["as shipped"]

@@ -211,13 +211,13 @@ def test_a_filter_that_overshoots_is_followed_only_where_members_say_that_a_touc
 
 @pytest.mark.long
 def test_errors_of_the_share_are_those_of_each_side():
-    """Expected: of touches of another recording, too, one side's are several times those of the other."""
+    """Expected: of touches of another recording, too, which vary less, distal ones 1.6 times the proximal ones."""
     off = []
     for site, share in (("proximal", 1.0), ("distal", 0.0)):
         estimated = predict(subject(), unlike(made_sensor.record(0.9 * made_sensor.touches(), site, seed=7)))
         touched = estimated.known_force_n.values >= 0.15
         off.append(float(np.sqrt(np.mean((estimated.proximal_share.values[touched] - share) ** 2))))
-    assert np.array(off) == pytest.approx(subject().ensemble.share_error, rel=0.5)
+    assert np.array(off) == pytest.approx(subject().ensemble.share_error, rel=0.25)
 
 
 def test_intervals_hold_rest_where_the_filter_may_be_at_rest():

@@ -150,7 +150,11 @@ def test_a_press_of_no_known_touch_nearby_has_no_latency() -> None:
     known_n = np.where((time_s > 2.0) & (time_s < 4.0) | (time_s > 8.0) & (time_s < 10.0), 1.0, 0.0)
     estimated_n = np.where((time_s > 8.1) & (time_s < 9.9) | (time_s > 15.0) & (time_s < 16.0), 1.0, 0.0)
     events = _event_variables(time_s, estimated_n, known_n, press_n=0.5, release_n=0.3)
-    latency_s = np.asarray(events["event_latency_s"][1])
+    latency_s, at_s = (np.asarray(events[name][1]) for name in ("event_latency_s", "event_time_s"))
+    assert np.allclose(at_s, [8.1, 9.9, 15.0, 16.0], atol=0.021) and [*events["event_kind"][1]] == 2 * [
+        "press",
+        "release",
+    ]
     assert np.allclose(latency_s, [0.1, -0.1, np.nan, np.nan], atol=0.021, equal_nan=True)
 
 

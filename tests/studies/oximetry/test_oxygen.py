@@ -13,16 +13,17 @@ from nailoptics import load_scene, trace
 from nailoptics.assets import data_dir
 from nailoptics.cli import run
 from nailoptics.errors import InputError
-from nailoptics.hemodynamics.for_scene import BloodBeat, beat_at
+from nailoptics.hemodynamics.for_scene import BloodBeat, beat_at, rest_beat
 from nailoptics.io import to_json, write_dataset
 from nailoptics.light import Transfer
 from nailoptics.options import TraceOptions
 from nailoptics.report.pages.oximeter import OXIMETER, oximeter_summary as summary
-from nailoptics.scene import Scene
+from nailoptics.scene import Led, Scene
+from nailoptics.sensor.electronics import photocurrent_a
 from nailoptics.statistics import jackknife
 from nailoptics.studies.oximetry import oxygen, ratio
 from nailoptics.studies.oximetry.oxygen import oximeter, oximeter_from
-from nailoptics.studies.oximetry.ratio import read_pulsations, read_states, saturation_curve
+from nailoptics.studies.oximetry.ratio import read_pulsations, read_states, saturation_curve, saturation_of
 from nailoptics.studies.oximetry.recording import simulated, spo2_over_time
 from nailoptics.variables import jackknifed
 
@@ -32,6 +33,10 @@ SEED = 11
 
 def shipped() -> Scene:
     return load_scene(data_dir("scenes") / "pulse_oximeter.toml")
+
+
+def replace_leds(scene: Scene, *leds: Led) -> Scene:
+    return scene.model_copy(update={"leds": leds})
 
 
 @pytest.fixture(scope="module")
@@ -101,6 +106,42 @@ def test_the_pulse_dims_infrared_more_than_red(computed):
 
 
 @pytest.mark.long
+def test_a_disturbance_biases_spo2_as_the_ratio_of_a_scene_so_changed_says(light, computed):
+    """Expected: at the end of each curve what the calibrated curve makes of R read anew, and of R diluted by sunlight;
+    nothing where the scene is as it was calibrated."""
+    scene, so2 = light.scene, light.scene.blood.so2
+    beat, (red, infrared) = rest_beat(scene), scene.leds
+    warmer = replace_leds(
+        scene, *(led.model_copy(update={"wavelength_nm": led.wavelength_nm + 5.0}) for led in scene.leds)
+    )
+    more_blood = scene.with_({"blood.rest_blood_fraction": 0.06})
+    changed = {
+        "touch_force_n": (scene, beat_at(scene, 2.0)),
+        "rest_blood_fraction": (more_blood, rest_beat(more_blood)),
+        "melanin_fraction": (scene.with_({"finger.melanin_fraction": 0.43}), beat),
+        "line_width_nm": (replace_leds(scene, *(led.model_copy(update={"fwhm_nm": 40.0}) for led in scene.leds)), beat),
+        "warmer_k_250_pm_per_k": (warmer, beat),
+        "venous_below_arterial": (scene.with_({"blood.venous_so2": so2 - 0.30}), beat),
+    }
+    ratios = {
+        name: read_pulsations(replace(light, scene=variant), (0, 1), [(so2, moved)]).ratio[0, :, 0]
+        for name, (variant, moved) in changed.items()
+    }
+    nominal = read_pulsations(light, (0, 1), [(so2, beat)])
+    level_a = [photocurrent_a(nominal.dc[0, k, :, 0], led, scene.elements) for k, led in enumerate((red, infrared))]
+    diluted = [a / (a + computed.sun_a.values) for a in level_a]
+    ratios["sunlight_lux"] = nominal.ratio[0, :, 0] * diluted[0] / diluted[1]
+    for name, anew in ratios.items():
+        for j, curve in enumerate(computed.ratio.values):
+            bias = 100 * (saturation_of(anew[j], computed.so2.values, curve) - so2)
+            assert computed[f"off_by_{name}"].values[j, -1] == pytest.approx(bias, abs=1e-3), name
+    as_calibrated = {"touch_force_n": 0.0, "melanin_fraction": 0.013, "warmer_k_130_pm_per_k": 0.0, "sunlight_lux": 0.0}
+    for name, value in as_calibrated.items():
+        assert np.abs(computed[f"off_by_{name}"].sel({name: value})).max() < 1e-6, name
+        assert computed[f"off_by_{name}_stderr"].sel({name: value}).max() < 1e-6, name
+
+
+@pytest.mark.long
 def test_interpolated_saturations_agree_with_those_read_directly(light):
     beat = beat_at(shipped(), 0.0)
     curve = saturation_curve(light, (0, 1), beat, low=0.5, high=1.0)
@@ -112,14 +153,14 @@ def test_interpolated_saturations_agree_with_those_read_directly(light):
 
 @pytest.mark.long
 def test_the_error_of_r_is_that_of_other_seeds(light):
-    """Expected: R of eight traces scatters as their errors say, within a factor of 2."""
+    """Expected: R of eight traces, of three photodiodes each, scatters as their errors say, within a factor of 1.4."""
     beat, values, errors = beat_at(shipped(), 0.0), [], []
     for seed in range(8):
         other = trace(shipped(), photons=1 << 15, seed=100 + seed)
         value, error = jackknifed(read_pulsations(other, (0, 1), [(0.97, beat)]).ratio[..., 0])
-        values.append(value[0])
-        errors.append(error[0])
-    assert 0.5 < np.std(values, ddof=1) / np.mean(errors) < 2.0
+        values.append(value)
+        errors.append(error)
+    assert 0.7 < np.sqrt(np.mean(np.var(values, axis=0, ddof=1) / np.mean(np.square(errors), axis=0))) < 1.4
 
 
 @pytest.mark.slow
@@ -153,8 +194,8 @@ def test_r_is_that_of_fresh_traces_with_less_and_more_blood(chosen_jit):
 
 @pytest.mark.long
 def test_a_recording_of_the_scene_tells_its_saturation_back(light, computed):
-    """Expected: at saturations that the calibration has not seen, within four standard errors, until the touch after
-    20 s, which is marked."""
+    """Expected: at saturations that the calibration has not seen, within the noise of the slots, as the light is one,
+    until the touch after 20 s, which is marked."""
     for so2 in (0.80, 0.93):
         scene = shipped().model_copy(update={"blood": shipped().blood.with_so2(so2)})
         other = oximeter_from(replace(light, scene=scene), options=TraceOptions(seed=SEED))
@@ -162,19 +203,18 @@ def test_a_recording_of_the_scene_tells_its_saturation_back(light, computed):
             photodiode=computed.attrs["best"]
         )
         still = estimates.sel(time=slice(0.0, 15.0))
-        assert np.all(abs(still.spo2 - 100 * so2) < 4 * still.spo2_stderr)
-        assert np.all(abs(still.rate_per_min - 70.0) < 6.0)
+        assert np.all(abs(still.spo2 - 100 * so2) < 0.15) and np.all(still.spo2_stderr < 1.0)
+        assert np.all(abs(still.rate_per_min - 70.0) < 2.0)
         assert float(still.motion.max()) < 0.03 and float(estimates.sel(time=slice(18.0, 25.0)).motion.max()) > 0.05
 
 
 @pytest.mark.long
 def test_the_error_of_r_is_what_stops_the_trace(chosen_jit, monkeypatch):
-    monkeypatch.setattr(ratio, "FIRST_PHOTONS", 1 << 16)
-    loose = oximeter(shipped(), relative_error=0.15, seed=2)
-    best = loose.sel(photodiode=loose.attrs["best"])
-    assert float(loose.ratio_at_rest_stderr.min()) > 0
-    assert float((loose.ratio_at_rest_stderr / loose.ratio_at_rest).min()) <= 0.15
-    assert loose.attrs["warnings"] == [] or float(best.ratio_at_rest) > 0
+    """Expected: one more round than that of so few photons, and no more light than the photodiode known best needs."""
+    monkeypatch.setattr(ratio, "FIRST_PHOTONS", 1 << 14)
+    loose = oximeter(shipped(), relative_error=0.05, seed=2)
+    error = loose.ratio_at_rest_stderr / loose.ratio_at_rest
+    assert 0.035 < float(error.min()) <= 0.05 < float(error.max()) and 2 << 14 < loose.attrs["photons"] < 8 << 14
 
 
 @pytest.mark.long

@@ -74,3 +74,10 @@ def test_the_best_of_each_number_is_chosen_by_one_half_and_judged_by_the_other(j
         cheaper = [error[k, m] for k in range(i + 1) for m in range(j + 1) if (k, m) != (i, j)]
         assert on_front[i, j] == all(one > 1.02 * error[i, j] for one in cheaper)
     assert on_front[0].all() and on_front[1].any()
+    # Whose current may be four times as large shines four times as bright.
+    stronger = layout.scene.model_copy(update={"leds": (driven.model_copy(update={"max_current_ma": 80.0}),)})
+    monkeypatch.setattr(certificate, "COUNTS", (2,))
+    front = certificate.pareto_front(replace(layout, scene=stronger), cache, objective)
+    assert front.led_power_mw.values == pytest.approx(np.append(data.led_power_mw, 4.0 * driven.flux_mw))
+    brighter, *as_before = front.front_error.values[0, ::-1]
+    assert as_before == pytest.approx(error[0, ::-1]) and 1 < as_before[0] / brighter < 4

@@ -119,6 +119,8 @@ def test_who_cannot_wear_a_layout_resolves_nothing_with_it(judged, monkeypatch):
     assert made.people_off.values.tolist() == [0, 1]
     worst = np.array([near[1:].max(), far[1:3].max()])
     assert made.worst_resolution_n.values == pytest.approx(worst)
+    assert made.worst_person.values[0] == cache.people[int(near[1:].argmax())].name
+    assert made.worst_person.values[1] == cache.people[int(far[1:3].argmax())].name
     assert made.median_resolution_n.values[0] == np.sort(near[1:])[1]
     assert "instead of" in str(made.worst_reason.values[0])
 

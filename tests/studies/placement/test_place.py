@@ -3,6 +3,7 @@
 import json
 import re
 import time
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -49,7 +50,7 @@ from nailoptics.studies.placement import (
     verification,
 )
 from nailoptics.studies.placement.certificate import lower_bound
-from nailoptics.studies.placement.objective import ForceResolution, Objective
+from nailoptics.studies.placement.objective import ForceResolution, LayoutScore, Objective
 from nailoptics.studies.placement.robustness import MOVED, _varied, tolerances
 
 AT = information.OperatingPoint(
@@ -87,6 +88,7 @@ def test_resolution_is_the_error_of_a_least_squares_fit():
     spread = (AT.force_per_pa @ fitted).std()
     # 20 000 samples know a standard deviation to 0.5 %.
     assert information.force_resolution_n(total, AT) == pytest.approx(spread, rel=0.02)
+    assert information.pressure_resolution_pa(total) == pytest.approx(fitted.std(1), rel=0.02)
     one = (slope / noise[:, None]) @ AT.pressure_per_n
     assert information.fixed_ratio_resolution_n(total, AT) == pytest.approx(1 / np.linalg.norm(one), rel=1e-12)
     assert information.fixed_ratio_resolution_n(total, AT) <= information.force_resolution_n(total, AT)
@@ -493,6 +495,64 @@ def test_a_searched_layout_is_named_by_its_places():
     assert site.name == "LEDs (-4 0) (1.25 2.97) left row"
 
 
+def test_every_resolution_of_the_ranking_is_that_of_its_own_noise(monkeypatch):
+    """Of two layouts on two fingers: through the body's noise, by the electronics alone, and of a filter."""
+    monkeypatch.setattr(information, "condition_number", lambda _: 1.0)
+    point = replace(AT, body=information.PhysiologicalNoise(1e-4 * np.eye(2), np.zeros((1, 1)), 0.0))
+    objective, rng = Objective(Placement(), (point, point)), np.random.default_rng(0)
+    per_pa2 = np.array([[[4e-6, 1e-6, 1e-6], [1e-6, 0.0, 1e-6]]])
+
+    def resolves(least_n):
+        noise = 0.01 * rng.normal(size=(8, 2))
+        fingers_n = np.array([1.0, 2.0]) * least_n * np.concatenate([np.ones((1, 2)), np.exp(noise - noise.mean(0))])
+        return ForceResolution(fingers_n, np.zeros(2), objective)
+
+    scores = [
+        LayoutScore(
+            *(resolves(k * least_n) for least_n in (0.04, 0.01, 0.03)),
+            np.repeat(per_pa2, 9, axis=0),
+            [[None]] * 2,
+            np.ones(9),
+            None,
+            k * np.ones(9),
+        )
+        for k in (1.0, 1.5)
+    ]
+    layouts, finger = [SimpleNamespace(origin="given", scene=parse_scene(SCENE))] * 2, SimpleNamespace(point=point)
+    ranking = result._ranking(layouts, scores, [finger, finger])
+    for field, name, on_finger in (
+        ("force", "force_resolution", "finger_resolution"),
+        ("electronics", "electronics_resolution", "finger_electronics_resolution"),
+        ("over_touches", "force_error", "finger_force_error"),
+    ):
+        each = [getattr(score, field) for score in scores]
+        ends = np.array([ranking[f"{name}_{end}n"][1] for end in ("low_", "", "high_")])
+        assert ends[1] == pytest.approx([one.fingers_n[0, 1] for one in each])
+        assert (ends[::2].T == [one.interval_n for one in each]).all() and (np.diff(ends, axis=0) > 0).all()
+        assert (ranking[f"{on_finger}_n"][1] == [one.fingers_n[0] for one in each]).all()
+    # Of the first finger's matrix the inverse is [[1, -1], [-1, 4]] / 3e-6 Pa^2.
+    resolved_pa = np.array([[1 / 3e-6, 4 / 3e-6], [1e6, 1e6]]) ** 0.5
+    assert ranking["pressure_resolution_pa"][1] == pytest.approx(np.stack([resolved_pa] * 2), rel=1e-3)
+
+
+def test_a_photodiode_anywhere_reads_and_resolves_as_one_that_lies_there(scene):
+    """Light that falls off across the board by another power than along it, on 3 by 5 mm; a photodiode of 1 by 0.25."""
+    light, rng = PhotonMap(Rectangle("board", -1.0, 2.0, -2.0, 3.0), values=4, blocks=8), np.random.default_rng(1)
+    u, v = ((edges[1:] + edges[:-1]) / 2 for edges in (light.u_mm, light.v_mm))
+    light.sums[:] = 1e-5 * np.exp(-u[:, None] - 0.3 * v + 0.01 * rng.normal(size=(8, 1, 1)))
+    light.sums *= np.array([1.0, 0.1, -3.0, 2.0])[:, None, None, None]
+    light.photons = 8
+    known = result._photodiode_anywhere(scene, [light], AT).isel(led=0)
+    assert known.place_u.values == pytest.approx(np.arange(-0.5, 1.6, 0.2)) and len(known.place_v) == 24
+    at = known.isel(place_u=3, place_v=7)
+    there = Rectangle.around("", (float(at.place_u), float(at.place_v)), scene.photodiodes[0].size_mm)
+    read = information.response(light.over([there]).mean(0), scene, 0, scene.photodiodes[0], AT)
+    assert (there.u_min, there.v_min) == pytest.approx((-0.4, -0.6))
+    assert float(at.place_noise_v) == pytest.approx(read.noise_v[0], rel=1e-6)
+    resolution_n = information.fixed_ratio_resolution_n(information.fisher_information(read), AT)
+    assert float(at.place_resolution_n) == pytest.approx(resolution_n[0], rel=1e-6) and at.place_resolution_n_stderr > 0
+
+
 @pytest.mark.parametrize(("value", "stderr", "words"), [(-1e-16, 7e-16, "0"), (0.0123, 0.002, "+1.23 ± 0.20")])
 def test_a_change_that_is_none_is_shown_as_0(value, stderr, words):
     assert _change({"value": value, "stderr": stderr}) == words
@@ -501,9 +561,10 @@ def test_a_change_that_is_none_is_shown_as_0(value, stderr, words):
 def test_places_of_several_leds_stand_beside_a_best_layout_of_one():
     """As where the paper's layout, which has one LED, is finer than what was searched for three."""
     places = ((0.0, 0.0), (1.0, 0.0), (2.0, 0.5))
-    computed = result._sites([row_design.SearchedSite(places, sites.LedRow(), (), 1.0, 0.1, 1000)])
+    computed = result._sites([row_design.SearchedSite(places, sites.LedRow("right"), (), 1.0, 0.1, 1000)])
     whole = xr.Dataset(computed, coords={"led": ["ir"], "searched_led": ["a", "b", "c"], "axis": ["u", "v"]})
     assert whole.led_site_mm.sel(searched_led="c").values.tolist() == [[2.0, 0.5]]
+    assert (whole.led_site_side.item(), whole.led_site_resolution_n.item()) == ("right", 0.1)
     assert xr.Dataset(result._sites([])).sizes["led_site"] == 0
 
 

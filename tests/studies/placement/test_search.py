@@ -230,6 +230,21 @@ def test_what_is_fixed_stays_and_what_is_kept_out_stays_empty():
             assert part.u_max <= -1.5 + 1e-9 or part.v_max <= 1.0 + 1e-9
 
 
+def test_a_bond_wire_has_its_room_before_the_wall_or_else_the_photodiodes():
+    """Expected: a wall 0.7 mm from the LEDs' face, where the scene's board gives none; without a wall bare dies, of
+    0.25 mm, 0.7 mm from a photodiode that stays, which lies at 0.5 mm."""
+    rules = 'photodiodes = 2\nfixed = ["pd"]\nbond_wire_mm = 0.7\nclearance_mm = 0.2'
+    walled, given, open_ = two_leds(rules), two_leds(rules), two_leds(rules, barrier=False)
+    given = given.model_copy(update={"board": given.board.model_copy(update={"barrier_gap_mm": 0.3})})
+    for scene, gap_mm in ((walled, 0.7), (given, 0.3)):
+        base = boards.base_board(scene)
+        assert base.board.barrier_gap_mm == gap_mm == Sites(base, boards.rules(scene)).gap_mm("left")
+    one = Sites(boards.base_board(open_), boards.rules(open_))
+    size = open_.leds[0].size_mm[0]
+    for beyond_mm, may in ((0.01, True), (-0.01, False)):
+        assert one.may_lie(0, (0.5 - 0.7 - size / 2 - beyond_mm, 0.0)) == may
+
+
 def test_a_new_photodiode_has_no_name_of_one_that_stays_on_the_board():
     """Expected: a file's other photodiode, which the search leaves where it is, keeps its name for itself."""
     base = two_leds("photodiodes = 2\n")
