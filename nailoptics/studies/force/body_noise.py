@@ -16,7 +16,7 @@ from ...statistics import MEDIAN_OF_GAUSSIAN
 from .person import Array, Person
 from .reading_table import ReadingTable
 from .scores import runs
-from .subject import Noise
+from .subject import NOISE_S, Noise
 
 # Harmonics of the beat that carry a pulse's shape; a beat weaker than this is none: judgement. [Pa]
 HARMONICS, LEAST_BEAT_PA = 5, 40.0
@@ -75,7 +75,10 @@ def estimate_noise(
     """
     from scipy.signal import welch
 
-    first_v = np.maximum(np.median([_white(residuals) for residuals in residual_v], axis=0), gain * table.noise_v)
+    # Samples whose mean has the noise that is stated.
+    group = max(1, round(NOISE_S / float(np.median(np.diff(recordings[0].time_s)))))
+    least_v = gain * table.noise_v / np.sqrt(group)
+    first_v = np.maximum(np.median([_white(residuals, 1) for residuals in residual_v], axis=0), gain * table.noise_v)
     leds = table.same_led() * rest_v[:, None]
     white_v, spectra, reading_drift2, led_drift2, rates_hz = [], [], [], [], []
     for recording, residual in zip(recordings, residual_v, strict=True):
@@ -91,7 +94,7 @@ def estimate_noise(
             rates_hz.append(beats_per_second(time_s, pressure_pa))
         # A reading's own noise and drift lie where neither pressure nor LED took it along, in fewer degrees of freedom.
         share = len(unexplained) / max(len(unexplained) - 1 - leds.shape[1], 1)
-        white_v.append(np.sqrt(share) * _white(unexplained))
+        white_v.append(np.sqrt(share) * _white(unexplained, group))
         untouched = force_n < REST_FORCE_N
         reading_drift2.append(share * _random_walk_variance(unexplained / rest_v[:, None], time_s, untouched))
         led_drift2.append(_random_walk_variance(light, time_s, untouched))
@@ -101,7 +104,7 @@ def estimate_noise(
     waves = slow_waves(frequency, power * (frequency[1] - frequency[0]))
     # Readings show what the vessels passed on of the pressure.
     gains = [max(pressure_to_blood_gain(person, wave.frequency_hz), LEAST_GAIN) for wave in waves]
-    return np.maximum(np.median(white_v, axis=0), gain * table.noise_v), Noise(
+    return np.maximum(np.median(white_v, axis=0), least_v), Noise(
         drift_per_min=_drift(reading_drift2, USUAL_DRIFT),
         led_drift_per_min=_drift(led_drift2, USUAL_LED_DRIFT),
         waves=tuple(replace(wave, rms_pa=wave.rms_pa / shown) for wave, shown in zip(waves, gains, strict=True)),
@@ -165,8 +168,10 @@ def _heartbeat(rate_hz: float, frequency: Array, power: Array) -> CardiacOscilla
     return cardiac_oscillator(rate_hz, heights)
 
 
-def _white(residual: Array) -> Array:
-    """White noise of each row, rms: from third differences, which take out what moves slowly."""
+def _white(residual: Array, group: int) -> Array:
+    """White noise of each row's means of so many samples, rms: of third differences, which take out what is slow."""
     # Robust; var(third difference) = 20 sigma^2. Across a gap they are those of the samples beside it.
-    third = [np.median(np.abs(np.diff(row[np.isfinite(row)], n=3))) for row in residual]
+    rows = (row[np.isfinite(row)] for row in residual)
+    means = (row[: len(row) // group * group].reshape(-1, group).mean(1) for row in rows)
+    third = [np.median(np.abs(np.diff(row, n=3))) for row in means]
     return np.array(third) / MEDIAN_OF_GAUSSIAN / np.sqrt(20.0)

@@ -48,7 +48,7 @@ class Features:
 
     def __init__(self, components: Array) -> None:
         self.components = components
-        self._zero, self._last, self._means, self._rest_s = np.zeros(0), np.zeros(0), np.zeros(0), 0.0
+        self._zero, self._last, self._before, self._rest_s = np.zeros(0), np.zeros(0), np.zeros(0), 0.0
 
     def over_rest(self, volts: Array, is_resting: NDArray[np.bool_], since_s: Array) -> Array:
         """ln volts of the next samples (R, T) less those at rest; a gap repeats the reading before it, NaN after
@@ -83,11 +83,13 @@ class Features:
         now = np.concatenate([np.tensordot(self.components, np.nan_to_num(over_rest), axes=1), pressure_n])
         out = np.concatenate([now[None]] * (1 + len(LAGS_S)))
         for k, step_s in enumerate(since_s):
-            if not self._means.size or step_s > LONGEST_GAP_S:
-                self._means, step_s = np.zeros((len(LAGS_S), *now.shape[:-1])), 0.0
-            keep = np.exp(-step_s / LAGS_S).reshape(-1, *[1] * (now.ndim - 1))
-            self._means = now[..., k] + keep * (self._means - now[..., k])
-            out[1:, ..., k] -= self._means
+            if not self._before.size or step_s > LONGEST_GAP_S:
+                self._before, step_s = np.zeros((1 + len(LAGS_S), *now.shape[:-1])), 0.0
+            # What is linear between samples departs alike at any rate.
+            over = (max(step_s, 1e-9) / LAGS_S).reshape(-1, *[1] * (now.ndim - 1))
+            rise, keep = now[..., k] - self._before[0], np.exp(-over)
+            out[1:, ..., k] = keep * self._before[1:] + (1.0 - keep) / over * rise
+            self._before = out[..., k]
         return out.reshape(-1, *now.shape[1:])
 
 

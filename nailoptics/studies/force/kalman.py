@@ -115,10 +115,6 @@ class StateSpace:
         if beat := self.subject.noise.beat:
             self.beat_weights[self.harmonics] = beat.resolved_harmonics(since_s)
 
-    def arterial_pa(self, state: Array) -> float:
-        """By how much P_H is off its mean. [Pa]"""
-        return float((self.beat_weights + self.wave_weights) @ state)
-
     def process(
         self, state: Array, stderr: Array, relaxed_n_per_cm2: Array, step_s: float
     ) -> tuple[Array, Array, Array]:
@@ -235,7 +231,7 @@ class PressureEstimate(NamedTuple):
     touch_n_per_cm2 : (2,) float. Coordinates of both pressures, of which `touch_pressure` makes pressures. [N/cm^2]
     covariance : (2, 2) float. Of these, for an exact calibration.
     arterial_pa : float. Deviation of P_H from its mean. [Pa]
-    nis : float. Normalized innovation squared. count : int. Valid readings.
+    nis : float. Normalized innovation squared, as of a sample alone, at any rate. count : int. Valid readings.
     outlier : bool. Whether the NIS exceeds the gate.
     informed : bool. Whether a reading came since the filter began or restarted, without which all this is its prior.
     """
@@ -305,9 +301,9 @@ class KalmanFilter:
         valid = np.isfinite(volts)
         if valid.any():
             self.informed, self._unread_s = True, 0.0
-        variance = self.subject.measurement_noise(self._blood_v, self._moved_v, since_s)
+        variance, alone = (self.subject.measurement_noise(self._blood_v, self._moved_v, s) for s in (since_s, None))
         gate = 2.0 * float(gammaincinv(max(valid.sum(), 1) / 2, OUTLIER_GATE))  # quantile of chi-squared
-        nis = self._update(volts, valid, variance, gate)
+        nis = self._update(volts, valid, variance, alone, gate)
         # Pseudo-measurement of zero touch, weighted by the probability that the finger rests, which readings show.
         touch, covariance = self.state[TOUCH], self.covariance[TOUCH, TOUCH]
         odds, elapsed_s = rest_odds(touch, covariance), min(since_s or 0.0, LONGEST_GAP_S) if valid.any() else 0.0
@@ -320,7 +316,7 @@ class KalmanFilter:
         return PressureEstimate(
             touch_n_per_cm2=self.model.sensed_touch(self.state, self.relaxed_n_per_cm2),
             covariance=self.covariance[TOUCH, TOUCH].copy(),
-            arterial_pa=self.model.arterial_pa(self.state),
+            arterial_pa=float((self.model.beat_weights + self.model.wave_weights) @ self.state),
             nis=nis,
             count=int(valid.sum()),
             outlier=nis > gate,
@@ -357,8 +353,9 @@ class KalmanFilter:
         self.mode_covariance = transition @ before @ transition.T + noise
         self.state = after
 
-    def _update(self, volts: Array, valid: NDArray[np.bool_], variance: Array, gate: float) -> float:
-        """Iterated update of all modes by the valid readings, merged; returns the normalized innovation squared."""
+    def _update(self, volts: Array, valid: NDArray[np.bool_], variance: Array, alone: Array, gate: float) -> float:
+        """Iterated update of all modes by the valid readings, merged; returns the normalized innovation squared of a
+        sample alone, whose noise has not the variance of those of a series, which are correlated."""
         predicted = state = self.state
         farthest = TOUCH_GATE * np.sqrt(np.einsum("mii->mi", self.mode_covariance)[:, TOUCH].max(0))
         measurement_noise, nis, probability = np.diag(variance[valid]), 0.0, self.mode_probability
@@ -374,9 +371,10 @@ class KalmanFilter:
                 log_likelihood = -0.5 * mode_nis - np.log(np.einsum("mii->mi", root)).sum(1)
                 probability = probability * np.exp(log_likelihood - log_likelihood.max())
                 probability /= probability.sum()
-                nis = float(probability @ mode_nis)
+                apart = np.linalg.solve(innovation_covariance + np.diag(alone[valid]), columns)[..., 0]
+                nis = float(probability @ apart @ innovation)
                 # Outliers count for less.
-                measurement_noise = measurement_noise * max(1.0, nis / gate)
+                measurement_noise = measurement_noise * max(1.0, float(probability @ mode_nis) / gate)
             innovation_covariance = innovation_covariance + measurement_noise
             gain = np.linalg.solve(innovation_covariance, innovation_by_state).swapaxes(1, 2)
             corrections = gain @ (innovation - jacobian @ (predicted - state))

@@ -34,8 +34,8 @@ INFORMED = 0.7
 # Chosen on the virtual people, and on light known to 2 %: without the first a touch released past closure leads the
 # filter far astray, without the second a held touch persists. [1]
 DYNAMIC_ERROR, STATIC_ERROR = 0.03, 0.01
-# Correlation time of that error. [s]
-READING_CORRELATION_S = 0.4
+# Correlation time of that error, and time over whose means the noise of readings is stated. [s]
+READING_CORRELATION_S, NOISE_S = 0.4, 0.04
 
 
 @dataclass(frozen=True, config=TABLE)
@@ -69,7 +69,7 @@ class Quality:
 class Readings:
     """What was calibrated of the readings: (R,) float each. Volts are offset_v + gain * the table's.
 
-    residual_rms_v : of the fit. noise_v : white noise, rms. [V]
+    residual_rms_v : of the fit. noise_v : white noise, rms, of means over NOISE_S of faster samples. [V]
     """
 
     gain: Annotated[Numbers, within(1 / MOST_GAIN, MOST_GAIN)]
@@ -196,7 +196,8 @@ class Subject(Displayed):
         blood_v, moved_v : (R,) float. Readings less drift, and their recent change. since_s : time of a sample. [s]
         """
         from_rest_v = blood_v - self.readings.offset_v - self.rest_v
-        return np.asarray(self.readings.noise_v**2 + self.noise.model_error2(from_rest_v, moved_v, since_s))
+        white_v2 = self.readings.noise_v**2 * (max(1.0, NOISE_S / since_s) if since_s else 1.0)
+        return np.asarray(white_v2 + self.noise.model_error2(from_rest_v, moved_v, since_s))
 
     @property
     def stderr(self) -> Array:

@@ -9,7 +9,6 @@ import pytest
 from scipy.signal import lfilter
 
 from nailoptics.scene.importers.sensor_recordings import Recording, recording_csv
-from nailoptics.studies.force import training
 from nailoptics.studies.force.body_noise import REST_FORCE_N
 from nailoptics.studies.force.calibrate import calibrate_with
 from nailoptics.studies.force.ensemble import LAGS_S, MISSING_S, ZERO_S, Features, mixed
@@ -75,20 +74,6 @@ def test_errors_are_of_touches_that_were_held_out():
     assert ensemble.errors_n["ensemble"] < 0.146
 
 
-def test_weights_of_a_side_are_of_its_touches_alone(monkeypatch):
-    """Touches that are made of both sides are of neither; of such a calibration is trained on, too."""
-    sites, own = [], training._weights
-
-    def weights(held_out, samples, few):
-        sites.append(np.unique(samples.site))
-        return own(held_out, samples, few)
-
-    series = calibration_series(subject(), [unlike(made_sensor.record_touches(seed=1))])
-    monkeypatch.setattr(training, "_weights", weights)
-    training.train(subject(), series)
-    assert np.isnan(sites[0]).any() and sites[1:] == [[1.0], [0.0]]
-
-
 def test_after_a_hard_touch_a_second_is_left_out_at_any_rate():
     force_n = 1.2 * np.tile(made_sensor.touches(), 4)
     recording = made_sensor.record(force_n, np.repeat([1.0, 0.0], force_n.size // 2), seed=1)
@@ -146,6 +131,15 @@ def test_memory_is_of_constant_size_and_forgets():
     features = memory.with_memory(over_rest, np.zeros((2, 5000)), since_s)
     assert features.shape == ((1 + len(LAGS_S)) * 4, 5000)
     assert np.abs(features[4:, -1]).max() < 1e-9 < np.abs(features[4:, 101]).max()
+
+
+@pytest.mark.parametrize("step_s", [0.08, 0.04, 0.002])
+def test_departures_of_a_ramp_are_those_of_its_slope_at_any_rate(step_s):
+    """Expected: from an exponential mean a ramp departs by slope times time constant, in the end."""
+    time_s = np.arange(0.0, 10.0, step_s)
+    ramp = np.stack([0.3 * time_s, 0.0 * time_s])
+    features = Features(np.empty((0, 1))).with_memory(np.zeros((1, time_s.size)), ramp, np.full(time_s.size, step_s))
+    assert features[2::2, -1] == pytest.approx(0.3 * LAGS_S * -np.expm1(-time_s[-1] / LAGS_S), rel=1e-6)
 
 
 def test_the_zero_follows_a_slow_drift_at_rest_alone():

@@ -261,6 +261,27 @@ def test_a_touch_that_is_let_go_past_closure_leaves_nothing_behind(site: str) ->
     assert (estimated.force_low_n.values[later] == 0).all()
 
 
+def test_how_well_readings_fit_is_alike_at_any_rate() -> None:
+    """Rationale: a threshold means the same at any rate if what is judged does. Expected: of the same readings, which
+    move 10 % unlike the model's, at 50 and 12.5 Hz."""
+    recorded = made_sensor.record(made_sensor.cycle(0.6), "distal", seed=4)
+    rest_v, unlike = recorded.volts[:, :50].mean(1, keepdims=True), np.array([0.9, 1.1] * 4)[:, None]
+    recorded, subject = replace(recorded, volts=rest_v + unlike * (recorded.volts - rest_v)), made_sensor.subject()
+    results = [predict(parse_subject(subject), recorded.select(slice(None, None, every))) for every in (1, 4)]
+    fast, slow = (one.attrs["chi2_per_dof"] for one in results)
+    assert fast > 0.05 and fast == pytest.approx(slow, rel=0.5)
+
+
+def test_noise_counts_by_time_and_not_by_samples() -> None:
+    """Rationale: what readings do at rest that no model knows goes on for longer than a sample; four times as many of
+    these do not show it twice as well. Expected: from 25 Hz on a variance of so much in a time."""
+    subject = parse_subject(made_sensor.subject())
+    rest_v = subject.readings.offset_v + subject.rest_v
+    at_rest = {s: s * subject.measurement_noise(rest_v, 0.0 * rest_v, s) for s in (0.002, 0.01, 0.04, 0.08)}
+    assert at_rest[0.002] == pytest.approx(at_rest[0.04]) and at_rest[0.01] == pytest.approx(at_rest[0.04])
+    assert at_rest[0.08] == pytest.approx(2.0 * at_rest[0.04])
+
+
 def test_model_errors_while_the_blood_moves_are_no_outliers() -> None:
     time_s = np.arange(0.0, 8.0, made_sensor.STEP_S)
     force = np.interp(time_s, [0.0, 1.0, 1.16, 3.0, 3.16, 5.0, 5.16, 7.0, 7.16], [0, 0, 0.5, 0.5, 0, 0, 1.5, 1.5, 0])
@@ -271,7 +292,7 @@ def test_model_errors_while_the_blood_moves_are_no_outliers() -> None:
     moved[:, time_s < 1.0] = 0.0
     off = DYNAMIC_ERROR * moved * np.where(np.arange(len(moved)) % 2, 1.0, -1.0)[:, None]
     estimated = predict(parse_subject(made_sensor.subject()), replace(recorded, volts=recorded.volts + off))
-    assert estimated.outlier.values.mean() < 0.01
+    assert estimated.outlier.values.mean() < 0.015
     assert estimated.attrs["consistent"]
 
 

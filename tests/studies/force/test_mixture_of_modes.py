@@ -24,7 +24,7 @@ def test_modes_are_weighted_by_their_likelihood_and_merged_with_how_far_they_are
     )
     kalman.state, kalman.mode_covariance, kalman.mode_probability = start, before, np.array([0.6, 0.4])
     volts = slopes @ (start + [0, 0, 0, 0.12, -0.05, 0])
-    kalman._update(volts, np.full(4, True), variance, chi2.ppf(OUTLIER_GATE, 4))
+    kalman._update(volts, np.full(4, True), variance, variance, chi2.ppf(OUTLIER_GATE, 4))
     readings = [multivariate_normal(slopes @ start, slopes @ one @ slopes.T + np.diag(variance)) for one in before]
     weights = np.array([0.6, 0.4]) * [one.pdf(volts) for one in readings]
     weights /= weights.sum()
