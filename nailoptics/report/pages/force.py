@@ -292,7 +292,7 @@ CALIBRATION = Report(
     calibration_summary,
     lambda _, s: [
         f"rms error of {_judged_on(s)} {1e3 * s['rms_n']:.0f} mN; "
-        f"95 % interval of a touch {_half_width(s['half_width_n'])}"
+        f"interval that covers 95 % of these {_half_width(s['half_width_n'])}"
     ],
     {"fit": _fit_figure},
     lambda result: {"subject.toml": result.attrs["subject"]},

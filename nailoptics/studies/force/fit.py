@@ -153,7 +153,7 @@ class Fit:
             rest = np.asarray(who.rest_blood)[..., None]
             blood = rest * who.diameters_over(recording.time_s, pressure_n_per_cm2)[:2] ** 2
             volts = self.table.volts(blood)
-            out.append(np.stack([volts, *(volts * (zone - rest) for zone in blood)]))
+            out.append(np.stack([volts, *((volts.T - self.table.dark_v).T * (zone - rest) for zone in blood)]))
         return out
 
     def _search(self, start_ln: Array, evaluations: int, report: Callable[[], object]) -> tuple[Array, float]:

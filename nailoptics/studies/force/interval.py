@@ -163,7 +163,7 @@ class ForceInterval:
         blood, rest = who.blood(diameter), who.blood(np.ones_like(diameter))
         volts = light.volts(blood)
         risen = self.subject.readings.gain[:, None] * (volts - light.volts(rest))
-        return risen, volts * (blood - rest)[:, None]
+        return risen, (volts.T - light.dark_v).T * (blood - rest)[:, None]
 
 
 def _site_probabilities(share: Array, error: Array) -> Array:

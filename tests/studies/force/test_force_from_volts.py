@@ -16,6 +16,7 @@ from nailoptics.scene.importers.sensor_recordings import SITES, Recording
 from nailoptics.scene.protocol import protocol
 from nailoptics.studies.force.calibrate import REFILL_FACTORS, _warnings, calibrate_with, lacking, with_site
 from nailoptics.studies.force.fit import FARTHEST_SPREADS, Fit
+from nailoptics.studies.force.interval import ForceInterval
 from nailoptics.studies.force.kalman import DIAMETERS, DIVERGED, KalmanFilter
 from nailoptics.studies.force.person import NAMES, SPREAD_LN
 from nailoptics.studies.force.predict import _event_variables, events, live, predict
@@ -196,6 +197,23 @@ def test_factors_at_a_bound_of_the_search_are_a_warning() -> None:
         assert not texts or re.sub(r" \([^)]*\)", "", texts[0]).startswith(
             f"the fit ends at a bound for {bounded}: its"
         )
+
+
+def test_an_added_slope_by_blood_is_of_the_leds_light_as_in_the_subject() -> None:
+    """Rationale: light from outside does not pass the blood. Expected: with it, too, a small slope adds to the fit what
+    it adds to the subject's table, to which it is given, and to intervals."""
+    dark, slopes = replace(made_sensor.table(), dark_v=np.full(8, 0.5)), np.zeros((8, 2))
+    recording, slopes[:, 1] = made_sensor.record(made_sensor.cycle(0.6), "distal", seed=1), -1e-3
+    finger, free = nominal_finger(hemodynamics.parameters("best")), np.isin(NAMES, ["rest_blood"])
+    fit = Fit([replace(recording, volts=0.5 + recording.volts)], dark, finger, free=free)
+    ((volts, _, by_distal),) = fit.model(np.zeros(len(NAMES)), fit.averaged)
+    steeper = Fit(fit.recordings, dark.steeper(slopes, 0.03), finger, free=free)
+    added = steeper.model(np.zeros(len(NAMES)), fit.averaged)[0][0] - volts
+    assert np.abs(added).max() > 1e-6 and added == pytest.approx(-1e-3 * by_distal, rel=1e-3)
+    known = parse_subject(made_sensor.subject())
+    lit = ForceInterval(replace(known, light=replace(known.light, dark_v=np.full(8, 0.5))))
+    held = np.array([[0.0], [0.4]])
+    assert lit._risen_v(known.person, held)[1] == pytest.approx(ForceInterval(known)._risen_v(known.person, held)[1])
 
 
 def test_a_readings_gaps_leave_its_residual_variance() -> None:
