@@ -46,8 +46,8 @@ LEAST_EFFECT = 0.01
 # Prior standard deviation of d ln volts / d blood, over the traced slope: absorption of the nail plate alone,
 # a factor 2 either way, moves the near photodiodes' signal by -30 to +20 %. And the least one, which moves no reading.
 OPTICS_PART, LEAST_SLOPE = 0.3, 1e-3
-# Prior standard deviations of ln gain and of its change from one putting-on of the sensor to the next, and of an offset
-# and a drift as fractions of the reading at rest.
+# Prior standard deviations of gains, and of their change from one putting-on of the sensor to the next, over the usual
+# gain of all readings; of an offset and a drift as fractions of the reading at rest.
 GAIN_SPREAD, DONNING_SPREAD, OFFSET_PART = 0.7, 0.2, 0.1
 
 
@@ -104,15 +104,15 @@ class Fit:
         # Prior standard deviations of gain, offset, slopes and drifts, and of the gain's change in each of several.
         volts, slopes = table.slopes(np.full(2, finger.rest_blood_fraction))
         slope = np.maximum(np.hypot(table.slope_stderr, OPTICS_PART * slopes / volts[:, None]), LEAST_SLOPE)
-        part_v = OFFSET_PART * np.nanmedian(self.volts, axis=1)
-        count = len(self.averaged)
-        spreads = [np.full(len(part_v), GAIN_SPREAD), part_v, slope, *[part_v] * count]
+        median_v, count = np.nanmedian(self.volts, axis=1), len(self.averaged)
+        usual, part_v = float(np.exp(np.log(np.abs(median_v) / volts).mean())), OFFSET_PART * median_v
+        spreads = [np.full(len(part_v), GAIN_SPREAD * usual), part_v, usual * slope, *[part_v] * count]
         # The sensor may be put on anew for each recording, whose gain is identifiable if it has touches of both sides.
         self.changed = count if count > 1 and all({0, 1} <= {*np.asarray(one.site)} for one in recordings) else 0
-        changes = [np.full(len(part_v), DONNING_SPREAD)] * self.changed
+        changes = [np.full(len(part_v), DONNING_SPREAD * usual)] * self.changed
         self.prior_spread = np.column_stack([*spreads, *changes])
-        # A gain of 1; all else 0.
-        self.prior = np.eye(self.prior_spread.shape[1])[0]
+        # The usual gain; all else 0.
+        self.prior = usual * np.eye(self.prior_spread.shape[1])[0]
         # A search ends, is weighted anew and goes on at the same factors, of which the columns know no weights.
         self._columns = lru_cache(2)(self._moved_columns)
 

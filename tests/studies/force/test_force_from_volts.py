@@ -216,6 +216,19 @@ def test_an_added_slope_by_blood_is_of_the_leds_light_as_in_the_subject() -> Non
     assert lit._risen_v(known.person, held)[1] == pytest.approx(ForceInterval(known)._risen_v(known.person, held)[1])
 
 
+def test_a_calibration_does_not_depend_on_the_scale_of_volts() -> None:
+    """Expected: of an amplifier of twice or half the gain the same residuals of the factors, and gains as large."""
+    recording, finger = made_sensor.record_touches(seed=1), nominal_finger(hemodynamics.parameters("best"))
+    free, residuals, gains = np.isin(NAMES, ["contact_area", "rest_blood"]), [], []
+    for scale in (1.0, 0.5, 2.0):
+        table = replace(made_sensor.table(), noise_v=scale * made_sensor.table().noise_v)
+        fit = Fit([replace(recording, volts=scale * recording.volts)], table, finger, free=free)
+        residuals.append(fit.residuals(np.full(2, 0.1))[0])
+        gains.append(fit._linear_fit(fit._columns((0.1, 0.1)))[0][:, 0, 0])
+    for scale, residual, gain in zip((0.5, 2.0), residuals[1:], gains[1:], strict=True):
+        assert residual == pytest.approx(residuals[0], rel=1e-5, abs=1e-7) and gain == pytest.approx(scale * gains[0])
+
+
 def test_a_readings_gaps_leave_its_residual_variance() -> None:
     """Rationale: a gap is no residual of 0. Expected: the variance of a reading that every other quarter of a second is
     empty, which is that of what was recorded."""
