@@ -22,7 +22,7 @@ from scipy.special import expit, gammaincinv
 
 from ...hemodynamics.rosenbrock import step
 from .person import ARTERIAL_STEP_PA, LONGEST_GAP_S, LONGEST_STEP_S, NAMES, Array, PulsatileGain, touch_on_walls
-from .subject import READING_CORRELATION_S, Subject
+from .subject import NOISE_S, READING_CORRELATION_S, Subject
 
 # Below this a pressure bends smoothly to 0, so that its derivative never vanishes. [N/cm^2]
 SOFTNESS_N_PER_CM2 = 0.002
@@ -231,7 +231,7 @@ class PressureEstimate(NamedTuple):
     touch_n_per_cm2 : (2,) float. Coordinates of both pressures, of which `touch_pressure` makes pressures. [N/cm^2]
     covariance : (2, 2) float. Of these, for an exact calibration.
     arterial_pa : float. Deviation of P_H from its mean. [Pa]
-    nis : float. Normalized innovation squared, as of a sample alone, at any rate. count : int. Valid readings.
+    nis : float. Normalized innovation squared, as of samples NOISE_S apart. count : int. Valid readings.
     outlier : bool. Whether the NIS exceeds the gate.
     informed : bool. Whether a reading came since the filter began or restarted, without which all this is its prior.
     """
@@ -301,9 +301,9 @@ class KalmanFilter:
         valid = np.isfinite(volts)
         if valid.any():
             self.informed, self._unread_s = True, 0.0
-        variance, alone = (self.subject.measurement_noise(self._blood_v, self._moved_v, s) for s in (since_s, None))
+        variance, usual = (self.subject.measurement_noise(self._blood_v, self._moved_v, s) for s in (since_s, NOISE_S))
         gate = 2.0 * float(gammaincinv(max(valid.sum(), 1) / 2, OUTLIER_GATE))  # quantile of chi-squared
-        nis = self._update(volts, valid, variance, alone, gate)
+        nis = self._update(volts, valid, variance, usual, gate)
         # Pseudo-measurement of zero touch, weighted by the probability that the finger rests, which readings show.
         touch, covariance = self.state[TOUCH], self.covariance[TOUCH, TOUCH]
         odds, elapsed_s = rest_odds(touch, covariance), min(since_s or 0.0, LONGEST_GAP_S) if valid.any() else 0.0
@@ -353,9 +353,9 @@ class KalmanFilter:
         self.mode_covariance = transition @ before @ transition.T + noise
         self.state = after
 
-    def _update(self, volts: Array, valid: NDArray[np.bool_], variance: Array, alone: Array, gate: float) -> float:
-        """Iterated update of all modes by the valid readings, merged; returns the normalized innovation squared of a
-        sample alone, whose noise has not the variance of those of a series, which are correlated."""
+    def _update(self, volts: Array, valid: NDArray[np.bool_], variance: Array, usual: Array, gate: float) -> float:
+        """Iterated update of all modes by the valid readings, merged; returns the normalized innovation squared, by
+        the usual variance: that of correlated samples grows with their rate."""
         predicted = state = self.state
         farthest = TOUCH_GATE * np.sqrt(np.einsum("mii->mi", self.mode_covariance)[:, TOUCH].max(0))
         measurement_noise, nis, probability = np.diag(variance[valid]), 0.0, self.mode_probability
@@ -371,7 +371,7 @@ class KalmanFilter:
                 log_likelihood = -0.5 * mode_nis - np.log(np.einsum("mii->mi", root)).sum(1)
                 probability = probability * np.exp(log_likelihood - log_likelihood.max())
                 probability /= probability.sum()
-                apart = np.linalg.solve(innovation_covariance + np.diag(alone[valid]), columns)[..., 0]
+                apart = np.linalg.solve(innovation_covariance + np.diag(usual[valid]), columns)[..., 0]
                 nis = float(probability @ apart @ innovation)
                 # Outliers count for less.
                 measurement_noise = measurement_noise * max(1.0, float(probability @ mode_nis) / gate)

@@ -211,7 +211,7 @@ def test_errors_of_the_share_are_those_of_each_side():
         estimated = predict(subject(), unlike(made_sensor.record(0.9 * made_sensor.touches(), site, seed=7)))
         touched = estimated.known_force_n.values >= 0.15
         off.append(float(np.sqrt(np.mean((estimated.proximal_share.values[touched] - share) ** 2))))
-    assert np.array(off) == pytest.approx(subject().ensemble.share_error, rel=0.25)
+    assert np.array(off) == pytest.approx(subject().ensemble.share_error, rel=0.3)
 
 
 def test_intervals_hold_rest_where_the_filter_may_be_at_rest():

@@ -300,7 +300,7 @@ def test_how_well_readings_fit_is_alike_at_any_rate() -> None:
     recorded, subject = replace(recorded, volts=rest_v + unlike * (recorded.volts - rest_v)), made_sensor.subject()
     results = [predict(parse_subject(subject), recorded.select(slice(None, None, every))) for every in (1, 4)]
     fast, slow = (one.attrs["chi2_per_dof"] for one in results)
-    assert fast > 0.05 and fast == pytest.approx(slow, rel=0.5)
+    assert fast > 0.02 and fast == pytest.approx(slow, rel=0.5)
 
 
 def test_noise_counts_by_time_and_not_by_samples() -> None:
@@ -323,7 +323,7 @@ def test_model_errors_while_the_blood_moves_are_no_outliers() -> None:
     moved[:, time_s < 1.0] = 0.0
     off = DYNAMIC_ERROR * moved * np.where(np.arange(len(moved)) % 2, 1.0, -1.0)[:, None]
     estimated = predict(parse_subject(made_sensor.subject()), replace(recorded, volts=recorded.volts + off))
-    assert estimated.outlier.values.mean() < 0.015
+    assert estimated.outlier.values.mean() < 0.01
     assert estimated.attrs["consistent"]
 
 
