@@ -31,7 +31,8 @@ def test_slow_cycles_repeat_themselves_and_show_hysteresis():
     second, third = (blood.sel(time=slice(20.0 * k, 20.0 * k + 19.9)).values for k in (1, 2))
     assert third == pytest.approx(second, rel=1e-3)
     up, down = (float(blood.sel(time=t, method="nearest")) for t in (42.0, 58.0))  # 0.4 N
-    assert down < 0.96 * up
+    # A bed that follows at once has the same both ways; this one lags, and is 5.7 % emptier on the way back.
+    assert down == pytest.approx((1 - 0.057) * up, rel=0.01)
 
 
 def test_the_white_band_widens_step_by_step():
