@@ -36,7 +36,7 @@ def arrivals(chosen_jit, scene):
 
 @pytest.fixture(scope="module")
 def transfer(chosen_jit, scene):
-    return nail.trace(scene, photons=3 << 18, seed=7)
+    return nail.trace(scene, photons=1 << 18, seed=7)
 
 
 def together(arrivals, point, rectangles):
@@ -99,7 +99,7 @@ def test_a_fresh_trace_with_more_blood_reads_what_the_map_predicts(scene, arriva
     blood = [0.05, 0.05]
     mean, error = together(arrivals, blood_point(scene, 0, blood_fraction=blood), list(scene.layout.photodiode_areas))
     more = scene.model_copy(update={"blood": scene.blood.model_copy(update={"rest_blood_fraction": 0.05})})
-    fresh = nail.trace(more, photons=1 << 18, seed=11)
+    fresh = nail.trace(more, photons=1 << 17, seed=11)
     seen = readings_over_states(fresh, np.array([blood]))
     noise = np.hypot(error[:, 0], seen.stderr[0, :, 0])
     assert np.all(np.abs(mean[:, 0] - seen.fraction[0, :, 0]) < 4 * noise)
@@ -263,7 +263,7 @@ def test_a_turned_photodiode_reads_the_map_over_its_rectangle(scene, arrivals, c
     one = scene.model_copy(update={"photodiodes": (scene.photodiodes[0].model_copy(update=turned),)})
     (area,) = one.layout.photodiode_areas
     mean, error = together(arrivals, blood_point(scene, 0), [area])
-    seen = readings_over_states(nail.trace(one, photons=2 << 18, seed=21), np.array([[0.03, 0.03]]))
+    seen = readings_over_states(nail.trace(one, photons=1 << 18, seed=21), np.array([[0.03, 0.03]]))
     expected, spread = seen.fraction[0, 0, 0], seen.stderr[0, 0, 0]
     assert abs(mean[0, 0] - expected) < 4 * np.hypot(error[0, 0], spread)
     assert np.hypot(error[0, 0], spread) < 0.04 * expected

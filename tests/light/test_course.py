@@ -46,8 +46,8 @@ def made_up(records: int = 20_000, *, path_mm: float = 8.0, blood: str = "") -> 
 
 @pytest.fixture(scope="module")
 def traced(chosen_jit) -> Transfer:
-    """A million photons through a finger at rest, 3 % of blood, at 605 nm, where blood absorbs more."""
-    return nail.trace(scene(wavelength_nm=605.0), photons=1 << 20, seed=1)
+    """Half a million photons through a finger at rest, 3 % of blood, at 605 nm, where blood absorbs more."""
+    return nail.trace(scene(wavelength_nm=605.0), photons=1 << 19, seed=1)
 
 
 def read_alone(transfer: Transfer, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -200,7 +200,7 @@ def test_reading_another_state_is_tracing_it_afresh(jit_backend, traced, blood, 
     other seeds, agrees within 4 combined standard errors of at most 8 %, and rest lies further off than the noise; the
     paths distinguish the states better still."""
     other = scene(wavelength_nm=605.0, blood=f"[blood]\nrest_blood_fraction = {blood}\nso2 = {so2}\n")
-    fresh = nail.trace(other, photons=1 << 19, seed=7).at()
+    fresh = nail.trace(other, photons=1 << 18, seed=7).at()
     again = traced.at(blood_fraction=[blood, blood], so2=so2)
     stderr = np.hypot(fresh.detected_fraction_stderr, again.detected_fraction_stderr)
     assert np.all(abs(fresh.detected_fraction - again.detected_fraction) < 4 * stderr)

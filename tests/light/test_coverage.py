@@ -128,7 +128,7 @@ def test_intervals_of_what_is_made_of_photodiodes_that_share_photons(jit_backend
     """Expected: intervals of neighbours' differences and ratios and of each array's sum hold the truth; a sum of
     squares over the photodiodes, as of independent readings, would miss a tenth of a sum's error."""
     scene = load_scene(data_dir("scenes") / "prototype.toml")
-    small, whole = small_traces(scene, FingerTracer, jit_backend.name, runs=runs, photons=1 << 15)
+    small, whole = small_traces(scene, FingerTracer, jit_backend.name, runs=runs, photons=1 << 14)
     each, truth = [of_several_photodiodes(one) for one in small], of_several_photodiodes(whole)
     covers(each, truth)
     stderr = whole.at().detected_fraction_stderr.values.reshape(2, -1)

@@ -95,7 +95,7 @@ def test_a_clear_plate_reads_its_exact_reflectance(jit_backend, monkeypatch):
     scene = slab(mu_a=0.0, mu_s=0.0, n=4.0, size=1000.0)
     z = []
     for seed in range(40):
-        traced = nail.trace(scene, photons=100_000, seed=seed)
+        traced = nail.trace(scene, photons=50_000, seed=seed)
         z.append(plate_errors(traced))
     for column in np.array(z).T:
         is_true(column)
