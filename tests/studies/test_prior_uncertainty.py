@@ -67,7 +67,7 @@ def traced(chosen_jit) -> Transfer:
 @pytest.fixture(scope="module")
 def reread(chosen_jit) -> Transfer:
     """Light for tests that compare what is read of it with nothing but other readings of the same photons."""
-    return trace(prototype(), photons=200_000, seed=1)
+    return trace(prototype(), photons=80_000, seed=1)
 
 
 def relative(transfer: Transfer, scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -243,7 +243,7 @@ def test_noise_of_the_photons_adds_nothing_to_a_spread():
 def test_a_scattering_prior_has_traces_of_its_own(chosen_jit):
     own = PriorRange(field="finger.plate_scattering", low=0.25, high=2.5)
     scene = prototype(*all_but("finger.plate_scattering", "finger.plate_absorption"), ranges=(own,))
-    transfer = trace(scene, photons=400_000, seed=1)
+    transfer = trace(scene, photons=200_000, seed=1)
     without = readings_over_priors(transfer, held_ends, options=OPTIONS, own_traces=False)
     assert [one.field for one in without.untraced] == ["finger.plate_scattering"] and len(without.level.priors) == 1
     result = readings_over_priors(transfer, held_ends, options=OPTIONS, own_traces=True)

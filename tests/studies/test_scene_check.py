@@ -90,7 +90,8 @@ def test_it_and_simulate_warn_of_a_table_that_does_not_reach_an_led(tmp_path, ca
     line = 'photodiode "pd" does not see LED "ir" of 800 nm: its responsivity reaches from 400 to 700 nm; add rows'
     (warning,) = check(load_scene(scene(tmp_path, text=BLIND)))["warnings"]
     assert warning.startswith(line)
-    assert run(["simulate", str(scene(tmp_path, text=BLIND)), "--photons", "2000", "-o", str(tmp_path / "out")]) == 0
+    blind = scene(tmp_path, text=BLIND + "[priors]\nspread = false\n")
+    assert run(["simulate", str(blind), "--photons", "2000", "-o", str(tmp_path / "out")]) == 0
     assert capfd.readouterr().err.count(line) == 1
 
 

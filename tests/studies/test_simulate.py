@@ -215,7 +215,7 @@ def test_fitted_constants_scatter_over_seeds_by_their_standard_errors(chosen_jit
     Expected: of ten traces of few photons, 95 % intervals of the constants of Taylor (9) and Beer-Lambert (8) hold
     their mean as often as they say, and the spread over the traces is the stated one."""
     scene = quiet(load_scene(data_dir("scenes") / "static_proximal.toml"))
-    results = [simulate(scene, photons=60_000, seed=seed) for seed in range(10)]
+    results = [simulate(scene, photons=30_000, seed=seed) for seed in range(10)]
     for name in ("taylor_v0_v", "taylor_v1_v_per_m2", "beer_lambert_v1_v", "beer_lambert_alpha_per_m2"):
         value, error = (np.array([r[name + end].values[0] for r in results]) for end in ("", "_stderr"))
         known = np.isfinite(error).all(0)

@@ -13,7 +13,7 @@ from nailoptics.scene.files import parse_scene
 from nailoptics.statistics import MIN_EFFECTIVE_TERMS
 from nailoptics.studies.exploration import drawn_people, explore as study
 
-EXPLORED, SIMULATED = 600_000, 400_000
+EXPLORED, SIMULATED = 400_000, 200_000
 
 
 @pytest.mark.long

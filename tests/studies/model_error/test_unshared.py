@@ -62,7 +62,7 @@ def test_errors_of_a_mean_over_photodiodes_are_true(chosen_jit):
     means, errors, sums = [], [], []
     for seed in range(100, 124):
         base, other = (
-            paired_readings(nail.trace(prototype(*parts), with_faces=AROUND, photons=1 << 14, seed=seed))
+            paired_readings(nail.trace(prototype(*parts), with_faces=AROUND, photons=1 << 13, seed=seed))
             for parts in ((), ("bone",))
         )
         change = difference(base, other).reading

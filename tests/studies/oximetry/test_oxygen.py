@@ -156,7 +156,7 @@ def test_the_error_of_r_is_that_of_other_seeds(light):
     """Expected: R of eight traces, of three photodiodes each, scatters as their errors say, within a factor of 1.4."""
     beat, values, errors = beat_at(shipped(), 0.0), [], []
     for seed in range(8):
-        other = trace(shipped(), photons=1 << 15, seed=100 + seed)
+        other = trace(shipped(), photons=1 << 14, seed=100 + seed)
         value, error = jackknifed(read_pulsations(other, (0, 1), [(0.97, beat)]).ratio[..., 0])
         values.append(value)
         errors.append(error)
@@ -226,7 +226,7 @@ def test_two_dies_along_the_nail_are_warned_of(light):
     leds = tuple(led.model_copy(update={"position_mm": p}) for led, p in zip(scene.leds, places, strict=True))
     diode = scene.photodiodes[0].model_copy(update={"position_mm": (0.0, -2.0), "wired": (6, 10)})
     along = scene.model_copy(update={"leds": leds, "photodiodes": (diode,)})
-    result = oximeter_from(trace(along, photons=1 << 17, seed=3), options=TraceOptions(seed=1))
+    result = oximeter_from(trace(along, photons=1 << 15, seed=3), options=TraceOptions(seed=1))
     message = " ".join(result.attrs["warnings"])
     assert '"axis.6"' in message and "on the axis between two dies side by side" in message
     assert float(result.path_ratio.min()) < 0.8
