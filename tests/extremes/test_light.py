@@ -114,6 +114,7 @@ def test_total_reflection_keeps_light_in_and_all_of_it_leaves_in_the_end(jit_bac
     says."""
     result = energy(stack({"mu_s_per_mm": 5.0, "n": 2.5}), photons=20_000)
     assert meets(result["reflected"], adding_doubling(1e-9, 5.0, 0.0, 2.5)[0], floor=6e-4)
+    assert meets((result["reflected"][0] + result["transmitted"][0], result["lost"][1]), 1.0)
     assert max(result[end][0] for end in ("absorbed", "lost")) < 1e-9 and result["reflected"][1] < 4e-3
 
 
@@ -213,6 +214,7 @@ def test_no_blood_and_much_of_it_at_both_ends_of_saturation(finger):
         [finger.at(blood_fraction=[blood, blood], so2=so2).detected_fraction.values for so2 in (0.0, 1.0)]
         for blood in (0.0, 0.1)
     )
+    assert (finger.at(blood_fraction=[0.1, 0.1], so2=0.0).detected_fraction_stderr > 0).all()
     rest = finger.at().detected_fraction.values
     assert same == pytest.approx(none, rel=1e-3) and (none > rest).all()
     assert (rest > blue).all() and (blue > red).all() and (red > 0.8 * none).all()

@@ -80,6 +80,8 @@ def test_a_heartbeat_beats_in_the_blood_and_is_off_by_default():
     assert np.ptp(run.blood_fraction.values) < 1e-9 and "arterial_pressure_pa" not in run
     run = blood_over_touch(beating)
     beat = run.blood_fraction.isel(zone=0).sel(time=slice(2.0, None)).values
+    # Capillaries that a distal touch shuts at more than 1 N/cm^2 are stiff, and pulse by 5 %.
+    assert 0.03 < np.ptp(beat) / beat.mean() < 0.25
     assert np.ptp(beat) == pytest.approx(np.ptp(rest_beat(beating).blood_fraction[0]), rel=0.01)
     assert np.fft.rfftfreq(beat.size, 0.01)[np.argmax(np.abs(np.fft.rfft(beat - beat.mean())))] == pytest.approx(
         70 / 60, abs=0.15

@@ -58,6 +58,7 @@ def test_noise_of_averaged_slots_is_that_of_samples_that_are_drawn():
         total += values
     drawn = np.var(total / 8) + held / 8
     assert drawn == pytest.approx(expected, rel=0.02)
+    assert expected > analog / 8
     assert noise_v2["converter"] == pytest.approx(float(budget.adc_v2) / 8)
     # Shot noise 2qI of 1 uA, averaged as the stage's own.
     shot_v2 = 2 * electronics.ELEMENTARY_CHARGE_C * 1e-6 * 4e3 * 4e5**2

@@ -382,6 +382,8 @@ def test_simulate_states_the_false_force_of_what_the_body_does(chosen_jit):
     at_hold_n, bandwidth_hz = float(result.force_n[hold_end(result)]), worn.electronics.bandwidth_hz
     expected_n = blood_model(worn).false_forces_n(at_hold_n, bandwidth_hz=bandwidth_hz)
     assert result.false_force_n.to_series().to_dict() == pytest.approx(expected_n)
+    assert list(result.disturbance.values) == ["heartbeat", "hand_height_m"] and 0 < float(result.false_force_n[0]) < 1
+    assert float(result.false_force_n[1]) == pytest.approx(blood_model(worn).posture_force_n(at_hold_n), rel=0.02)
 
 
 @pytest.mark.jit
