@@ -110,6 +110,12 @@ def untraced_tolerances(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(import_module("nailoptics.studies.placement.place"), "tolerances", untraced)
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are made, but not drawn: for pages that other tests draw, and of which no more than words are read."""
+    monkeypatch.setattr(import_module("nailoptics.report.style"), "to_svg", lambda figure, **_: "<svg></svg>")
+
+
 @pytest.fixture(scope="session")
 def chosen_llvm() -> backend.Backend:
     try:

@@ -13,6 +13,8 @@ COARSE_MM = 0.4
 PHOTONS_FROM_OUTSIDE, ROUGH_PHOTONS = 1 << 13, 1 << 14
 # Of the table of light between places of a board.
 FEW_NODES = {"DISTANCE_MM": (0.0, 1.2, 3.5), "BESIDE_WALL_MM": (0.0, 0.6), "PAIRS": 1 << 15}
+# Of the touches that a sensor is calibrated with, and of what a calibration asks for: half of them.
+SHORT_PROTOCOL = {"SIDE_S": 45.0, "LEAST_LEVELS": 10}
 
 
 def in_coarse_cells(distance: ModuleType) -> None:
@@ -41,6 +43,11 @@ def few_from_outside(ambient: ModuleType) -> None:
     ambient.trace_ambient.__kwdefaults__["photons"] = PHOTONS_FROM_OUTSIDE
 
 
+def few_disturbances(oxygen: ModuleType) -> None:
+    """An oximeter's bias at the ends and in the middle of what takes a beat of its own."""
+    oxygen.FORCES_N, oxygen.REST_BLOOD = oxygen.FORCES_N[::4], oxygen.REST_BLOOD[[0, 2, 5]]
+
+
 def without_dask(pycompat: ModuleType) -> None:
     """No array is Dask's, which xarray would load as the first one is made, as commands have it; who asks for it still
     has it."""
@@ -58,11 +65,13 @@ CHANGES = {
     "nailoptics.geometry.distance": in_coarse_cells,
     "nailoptics.light.backend": on_one_core,
     "nailoptics.light.detect": with_values(ROUGH_PHOTONS=ROUGH_PHOTONS, SECTION_PHOTONS=1 << 13),
+    "nailoptics.scene.protocol": with_values(**SHORT_PROTOCOL),
     "nailoptics.sensor.ambient": few_from_outside,
     "nailoptics.studies.exploration.drawn_people": with_values(RANK_PHOTONS=1 << 13),
     "nailoptics.studies.exploration.explore": with_values(LEAST_BATCH=1 << 10, FLUENCE_PHOTONS=1 << 13),
     "nailoptics.studies.exploration.pair_table": with_values(**FEW_NODES),
     "nailoptics.studies.force.fit": with_values(STARTS=({},), ROUNDS=1),
+    "nailoptics.studies.oximetry.oxygen": few_disturbances,
     "nailoptics.studies.placement.place": with_values(BLOCKS=8),
     "nailoptics.studies.placement.robustness": with_values(MOST_PHOTONS=1 << 13),
     "nailoptics.studies.placement.search": with_values(FINEST=1, SHORTLIST=1, REGULAR=1),

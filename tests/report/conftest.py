@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from nailoptics.report import style
 from nailoptics.scene import digest, parse_scene, to_toml
 
 SCENES = Path(__file__).parents[2] / "scenes"
@@ -86,12 +85,6 @@ def made_up(*, leds=1, times=41, swing=1.0, section=True):
         "accuracy_reached": "1 %",
     }
     return xr.Dataset(data, coords, attrs)
-
-
-@pytest.fixture
-def undrawn(monkeypatch):
-    """Figures are made, but not drawn: for pages of which tables and sentences are read."""
-    monkeypatch.setattr(style, "to_svg", lambda figure, **_: "<svg></svg>")
 
 
 @pytest.fixture(scope="session")

@@ -4,11 +4,12 @@ of one command run in the next."""
 from pathlib import Path
 
 import pytest
+from fewer_photons import SHORT_PROTOCOL
 
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.cli import run
-from nailoptics.scene import Body, Touch, to_toml
+from nailoptics.scene import Body, Touch, protocol, to_toml
 from nailoptics.studies.force import fit
 from nailoptics.studies.force.predict import CSV_COLUMNS
 
@@ -24,9 +25,11 @@ PHOTONS = ["--photons", "30000", "--seed", "1"]
 
 @pytest.mark.parametrize("scene", FINGERS)
 def test_a_shipped_finger_is_recorded_calibrated_and_predicted(
-    chosen_jit: object, shared_light: None, scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    chosen_jit: object, shared_light: None, undrawn: None, scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # Any fit is written and read alike.
+    # Any touches are recorded alike, and any fit of them is written and read.
+    for name, value in SHORT_PROTOCOL.items():
+        monkeypatch.setattr(protocol, name, value)
     monkeypatch.setattr(fit, "STARTS", ({},))
     monkeypatch.setattr(fit, "ROUNDS", 1)
     recording, subject, out = (str(tmp_path / name) for name in ("recording.csv", "me.toml", "out"))
