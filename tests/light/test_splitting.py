@@ -164,4 +164,6 @@ def test_split_photons_read_what_plain_ones_read(jit_backend, prototype):
     assert np.sum((ours - other) ** 2 / (error**2 + more**2)) < 60
     assert np.all(error[0] / ours[0] < 0.8 * more[0] / other[0])
     energy = {part: total / photons for part, (total, _) in split.energy.items()}
-    assert sum(energy.values()) == pytest.approx(1, abs=1e-9) and abs(energy["lost"]) < 1e-5
+    # 2e-6 in the mean of ten seeds: the weight of one photon or two.
+    lost_error = stderr_of_mean(*split.energy["lost"], photons)
+    assert sum(energy.values()) == pytest.approx(1, abs=1e-9) and abs(energy["lost"]) < 5e-6 + 3 * lost_error < 5e-5

@@ -12,6 +12,7 @@ from nailoptics.errors import InputError
 from nailoptics.hemodynamics import cardiac_pressure
 from nailoptics.report.pages.oximeter import recording_summary
 from nailoptics.scene.importers.sensor_recordings import OximeterRecording, oximeter_csv, read_oximeter_recording
+from nailoptics.statistics import Z95
 from nailoptics.studies.oximetry.recording import deming_slope, read_for, spo2_csv, spo2_over_time
 from nailoptics.variables import variable
 
@@ -47,39 +48,44 @@ def recorded(
 
 @pytest.mark.parametrize("noise", [0.1, 0.4])
 def test_the_error_of_a_slope_is_its_scatter_where_both_have_noise(noise):
-    """A pulse of variance 1/2 in 60 values, red over infrared 0.6, each with noise of its own: 2000 recordings."""
+    """A pulse of variance 1/2 in 60 values, red over infrared 0.6, each with noise of its own: 12 000 recordings, by
+    which the scatter is known to 1 %, and the middle to 0.0002 and 0.0011."""
     rng, pulse, ratio = np.random.default_rng(2), np.sin(np.arange(60)), 0.6
     variance = np.array([(2 * noise) ** 2, noise**2])
     slopes, errors = np.transpose(
         [
             deming_slope(*((ratio, 1.0) * pulse[:, None] + drawn).T, np.diag(variance), values=60)
-            for drawn in np.sqrt(variance) * rng.standard_normal((2000, 60, 2))
+            for drawn in np.sqrt(variance) * rng.standard_normal((12_000, 60, 2))
         ]
     )
-    middle = np.median(slopes)
-    scatter = np.median(np.abs(slopes - middle)) / 0.6745
-    assert middle == pytest.approx(ratio, abs=0.02) and np.median(errors) == pytest.approx(scatter, rel=0.04)
+    # Of a pulse that drowns in noise there is no slope.
+    assert np.isfinite(slopes).mean() > 0.999
+    middle = np.nanmedian(slopes)
+    scatter = np.nanmedian(np.abs(slopes - middle)) / 0.6745
+    assert middle == pytest.approx(ratio, abs=0.005) and np.nanmedian(errors) == pytest.approx(scatter, rel=0.04)
 
 
 def test_the_error_of_a_slow_recordings_ratio_is_its_scatter():
     """Rationale: at 10 Hz the band of a pulse ends at 4.5 Hz, and fewer samples are independent. Expected: stated
-    within 15 % of the scatter in 20 recordings of four windows that do not overlap, on both photodiodes."""
+    within 15 % of the scatter in 40 recordings of four windows that do not overlap, on both photodiodes, by which it is
+    known to 3.7 %."""
     off, stated = [], []
-    for seed in range(20):
+    for seed in range(40):
         made = recorded(0.9, seed=seed, noise=3e-4)
         slow = replace(made, time_s=made.time_s[::10], volts=made.volts[..., ::10], dark_v=made.dark_v[:, ::10])
         estimates = spo2_over_time(slow, KNOWN, SCENE).isel(time=slice(0, None, 8))
         off.append((estimates.ratio - estimates.ratio.mean("time")).values)
         stated.append(estimates.ratio_stderr.values)
-    assert np.shape(off) == (20, 2, 4)
+    assert np.shape(off) == (40, 2, 4)
     assert np.sqrt(np.mean(np.square(stated))) == pytest.approx(np.sqrt(np.mean(np.square(off)) * 4 / 3), rel=0.15)
 
 
 def test_noise_of_a_dark_slot_does_not_bias_the_saturation():
     """Rationale: one dark reading is taken from red and infrared, whose noises are then correlated. Expected: 90 %
-    within 1 % in the mean of ten recordings, on both photodiodes, where taken for independent they give 87 and 81 %."""
+    within 1 % in the mean of 40 recordings, which scatters by 0.2 %, on both photodiodes, where taken for independent
+    they give 87 and 81 %."""
     estimates = []
-    for seed in range(10):
+    for seed in range(40):
         made, drawn = recorded(0.9, seed=seed, noise=2.4e-4), np.random.default_rng(100 + seed)
         dark_v = made.dark_v + 8e-4 * drawn.standard_normal(made.dark_v.shape)
         estimates.append(spo2_over_time(replace(made, dark_v=dark_v), KNOWN, SCENE).spo2.values)
@@ -88,16 +94,18 @@ def test_noise_of_a_dark_slot_does_not_bias_the_saturation():
 
 @pytest.mark.long
 @pytest.mark.parametrize("noise", [3e-5, 2e-4])
-def test_the_interval_covers_the_truth_in_90_to_98_of_100_recordings(noise):
+def test_the_interval_covers_the_truth_in_95_of_100_recordings(noise):
     """Rationale: noise of the readings and the error of the curve are both in the interval; each recording has its own
-    of both. Expected: 90 to 98 % of 150 recordings at saturations from 0.72 to 0.98, seen in one window of each, on
-    both photodiodes."""
-    inside = []
+    of both. Expected: at least 90 % of 150 recordings at saturations from 0.72 to 0.98, seen in one window of each, on
+    both photodiodes, and errors of the size that is stated, which 300 tell to 5 %: by twice as wide intervals as would
+    do, they would be half."""
+    inside, relative = [], []
     for seed in range(150):
         so2 = 0.72 + 0.26 * seed / 149
         estimates = spo2_over_time(recorded(so2, seed=seed, seconds=12.0, noise=noise), KNOWN, SCENE).isel(time=2)
         inside.append(((estimates.spo2_low <= 100 * so2) & (100 * so2 <= estimates.spo2_high)).values)
-    assert 0.90 <= np.mean(inside) <= 0.98
+        relative.append((estimates.spo2 - 100 * so2) * Z95 / (estimates.spo2 - estimates.spo2_low))
+    assert np.mean(inside) >= 0.90 and np.sqrt(np.mean(np.square(relative))) == pytest.approx(1.0, abs=4 * 0.05)
 
 
 def test_rate_perfusion_and_saturation_are_estimated_in_every_window():

@@ -45,10 +45,10 @@ def grid_of(rng: np.random.Generator, columns: int = 5, rows: int = 4) -> tuple[
 @pytest.mark.parametrize("rank_by", RANKED, ids="-".join)
 @pytest.mark.parametrize("count", [2, 3, 4])
 def test_no_layout_beats_the_bound_and_the_best_is_near_it(rank_by, count):
-    """Expected: brute force over all layouts of 20 places stays above the bound; what a search begins from only
-    changes how far the bound is from the best."""
+    """Expected: brute force over all layouts of 20 places stays above the bound, and the relaxed design, whose weights
+    keep the rules, no more than 0.4 % above it (0.2 % in 200 grids), so that there is no better one of its kind."""
     objective = Objective(Placement(rank_by=rank_by), [AT, AT])
-    gaps = []
+    gaps, open_gaps = [], []
     for seed in range(6):
         places, of_places = grid_of(np.random.default_rng(seed))
         away = np.abs(places.centers_mm[:, None] - places.centers_mm)
@@ -58,11 +58,17 @@ def test_no_layout_beats_the_bound_and_the_best_is_near_it(rank_by, count):
         ]
         scores = objective.score(of_places[:, np.array(layouts)].sum(2))
         given = np.zeros((2, of_places.shape[-1]))
-        log_bound, _ = lower_bound(of_places, places, layouts[0], objective, given=given)
+        log_bound, weights = lower_bound(of_places, places, layouts[0], objective, given=given)
         gaps.append(float(np.log(scores.min()) - log_bound))
-    assert min(gaps) > -1e-9
-    # Two unknowns need two photodiodes at least, of which there are no halves; more come nearer.
-    assert max(gaps) < (0.1 if count < 4 else 0.015) and np.median(gaps) < 0.03
+        assert (
+            weights.sum() == pytest.approx(count) and -1e-9 < weights.min() and (places.windows @ weights).max() < 1.001
+        )
+        relaxed = objective.score(np.einsum("m,fmn->fn", weights, of_places))
+        open_gaps.append(float(np.log(relaxed) - log_bound))
+    assert min(gaps) > -1e-9 and min(open_gaps) > -1e-9 and max(open_gaps) < 0.004
+    # Two unknowns need two photodiodes at least, of which there are no halves; more come nearer. Medians of six grids
+    # exceed 0.13, 0.05 and 0.02 once in a thousand.
+    assert np.median(gaps) < {2: 0.15, 3: 0.06, 4: 0.03}[count]
 
 
 @pytest.mark.parametrize("rank_by", RANKED, ids="-".join)

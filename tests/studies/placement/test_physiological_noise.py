@@ -223,7 +223,7 @@ def test_readings_of_two_leds_drift_apart_and_lift_together():
 
 def test_the_bodys_lines_hold_the_variance_of_its_pressure():
     """Each rhythm alone against the course that the scene would be simulated with."""
-    time_s = np.arange(0.0, 600.0, 0.02)
+    time_s = np.arange(0.0, 6000.0, 0.02)
     for table, course in (
         ("[body.heartbeat]\nrate_variability = 0.0", hemodynamics.cardiac_pressure(time_s)),
         ("[body.breathing]", hemodynamics.breathing_pressure(time_s, amplitude_pa=600.0)),
@@ -231,8 +231,9 @@ def test_the_bodys_lines_hold_the_variance_of_its_pressure():
     ):
         body = parse_scene(_with_body(table)).body
         frequency_hz, variance = pressure_lines(body)
-        # Ten minutes hold whole beats and breaths, and of the slow waves 60 that beat against each other.
-        assert np.sqrt(variance.sum()) == pytest.approx(course.std(), rel=0.03)
+        # It holds whole beats and breaths, and of the slow waves 600 that beat against each other: by other random
+        # numbers their deviation scatters by 0.6 %.
+        assert np.sqrt(variance.sum()) == pytest.approx(course.std(), rel=0.025)
         assert (frequency_hz > 0.04).all()
 
 
