@@ -320,11 +320,11 @@ def test_both_backends_print_the_same_light_of_a_phantom(folder, capfd, chosen_j
 
 @pytest.mark.jit
 def test_trace_of_a_finger_prints_the_agreed_json_and_keeps_the_transfer(folder, capfd, chosen_jit):
-    options = ["--photons", "100000", "--seed", "3", "--json"]
+    options = ["--photons", "20000", "--seed", "3", "--json"]
     assert run(["trace", "prototype", *options, "-o", "deep/transfer.nc"]) == 0
     result = only_json(capfd)
     assert_traced(result, engine="photons", name=chosen_jit.name)
-    assert len(result["readings"]) == 8 and result["photons"] == 100_000
+    assert len(result["readings"]) == 8 and result["photons"] == 20_000
     assert {"plate", "bed_1", "bed_2", "epoxy"} <= set(result["readings"][0]["mean_path_mm"])
     assert contents(folder).keys() == {"deep", "deep/transfer.nc"}
     again = Transfer.load(Path("deep/transfer.nc")).at()
@@ -398,7 +398,7 @@ def test_few_photons_have_no_stated_error(folder, capfd, chosen_jit):
 @pytest.mark.jit
 def test_simulate_writes_its_two_files_and_prints_where(folder, capfd, chosen_jit):
     (folder / "quick.toml").write_text(QUICK)
-    assert run(["simulate", "quick.toml", "--photons", "100000"]) == 0
+    assert run(["simulate", "quick.toml", "--photons", "30000"]) == 0
     out, err = capfd.readouterr()
     files = ["results/quick/report.html", "results/quick/result.nc"]
     assert contents(folder).keys() == {"quick.toml", "results", "results/quick", *files}

@@ -45,7 +45,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def interrupting(
-    jit_backend: object, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    jit_backend: object, undrawn: None, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> Interrupting:
     """Interrupts commands of this process."""
     return Interrupting(monkeypatch, capfd)

@@ -47,6 +47,7 @@ def test_every_file_of_place_is_read(
     fewer_photons,
     few_photons_beside,
     untraced_tolerances,
+    undrawn,
     monkeypatch,
     tmp_path: Path,
     name: str,

@@ -88,9 +88,10 @@ def test_light_below_a_drawn_border_is_that_of_the_same_board_by_size(jit_backen
     nicked = [*BOX[:2], (3.0, 0.0), (2.998, 0.001), (3.0, 0.002), *BOX[2:]]
     near = [(-3.0, -3.5), (3.0, -3.5), (3.0, 3.5), (0.8, 3.5), (0.8, 0.2), (-1.6, 0.2), (-1.6, 3.5), (-3.0, 3.5)]
     read = [
-        trace(one, photons=1 << 19, backend=jit_backend.name, store=False)
+        trace(one, photons=1 << 17, backend=jit_backend.name, store=False)
         for one in (scene(size_mm=[6.0, 7.0]), scene(nicked), scene(near))
     ]
     value, error = np.array([[one.at()[f"detected_fraction{end}"].item() for end in ("", "_stderr")] for one in read]).T
-    assert abs(value[1] - value[0]) < 4 * math.hypot(*error[:2])
+    # Of one seed the two share most photons: over six seeds they differ by 0.4 of these errors at most.
+    assert abs(value[1] - value[0]) < 2 * math.hypot(*error[:2])
     assert abs(value[2] - value[0]) > 8 * math.hypot(error[0], error[2])

@@ -365,5 +365,11 @@ def test_batches_of_an_interrupted_run_come_from_the_store(finger, store, monkey
     assert heard[39].fraction_done == heard[19].fraction_done and heard[39].seconds > 0.8 * first_s
     unbroken = run(options=replace(options, store=False))
     assert len(traced) == 64 and np.array_equal(unbroken.fraction, resumed.fraction)
-    run(bed=replace(bed, mu_a_per_mm=1.01 * bed.mu_a_per_mm))
-    assert len(traced) == 96
+
+    def interrupt_at_once(progress):
+        if len(traced) == 66:
+            raise KeyboardInterrupt
+
+    # No batch of these two comes from the store.
+    assert run(bed=replace(bed, mu_a_per_mm=1.01 * bed.mu_a_per_mm), progress=interrupt_at_once).interrupted
+    assert len(traced) == 66

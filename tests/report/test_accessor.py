@@ -26,7 +26,7 @@ TITLE = {"title": "nailoptics: touch to volts"}
 
 
 @pytest.mark.long
-def test_a_simulation_shows_itself_as_its_page_does(make, tmp_path):
+def test_a_simulation_shows_itself_as_its_page_does(make, undrawn, tmp_path):
     result = make(leds=2).assign_attrs(TITLE)
     figures = all_shown(result, page=False)
     assert list(figures) == list(result.nail.figures) == ["readings", "touch", "volts", "section"]
