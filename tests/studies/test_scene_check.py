@@ -86,7 +86,7 @@ def test_it_warns_of_an_led_that_its_part_does_not_bear(tmp_path):
 BLIND = SCENE.replace("size_mm = [1.0, 0.25]", "size_mm = [1.0, 0.25]\nresponsivity = [[400.0, 0.1], [700.0, 0.4]]")
 
 
-def test_it_and_simulate_warn_of_a_table_that_does_not_reach_an_led(tmp_path, capfd):
+def test_it_and_simulate_warn_of_a_table_that_does_not_reach_an_led(undrawn, tmp_path, capfd):
     line = 'photodiode "pd" does not see LED "ir" of 800 nm: its responsivity reaches from 400 to 700 nm; add rows'
     (warning,) = check(load_scene(scene(tmp_path, text=BLIND)))["warnings"]
     assert warning.startswith(line)

@@ -15,6 +15,7 @@ from pydantic import TypeAdapter
 
 from nailoptics.cli import run
 from nailoptics.errors import InputError
+from nailoptics.report import style
 from nailoptics.scene import to_toml
 from nailoptics.scene.importers.sensor_recordings import recording_csv
 from nailoptics.studies.force import calibrate as calibrating
@@ -49,6 +50,8 @@ def _calibrated(recording: Path, subject: Path) -> None:
 
 
 def _without_a_trace(patch: pytest.MonkeyPatch) -> None:
+    """Nothing is traced, nor drawn on a page that nobody reads."""
+    patch.setattr(style, "to_svg", lambda *_, **__: "<svg></svg>")
     patch.setattr(calibrating, "open_light", lambda *_, **__: None)
     patch.setattr(calibrating, "reading_table", lambda *_: made_sensor.table())
 
