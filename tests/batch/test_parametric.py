@@ -64,7 +64,7 @@ def test_a_script_without_a_main_guard_is_run_once(jit_backend, tmp_path, is_fil
     field = "phantom.layers.slab.thickness_mm"
     text = f"""import nailoptics as nail
 print("run", flush=True)
-swept = nail.sweep("slab.toml", {{"{field}": [0.5, 1.0]}}, workers=2, backend="{jit_backend.name}")
+swept = nail.sweep("slab.toml", {{"{field}": [0.5, 1.0]}}, workers=1, backend="{jit_backend.name}")
 print(*swept.state.values)
 """
     (tmp_path / "script.py").write_text(text)

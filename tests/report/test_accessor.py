@@ -168,7 +168,7 @@ def test_an_exploration_shows_itself():
 
 def test_the_papers_figures_show_themselves(tmp_path):
     shown = nail.figures(tmp_path, ["subject"], colour=False)
-    assert list(all_shown(shown)) == ["picture"] and len(shown.nail.plot(name="fig15").axes[0].images) == 1
+    assert list(all_shown(shown, page=False)) == ["picture"] and len(shown.nail.plot(name="fig15").axes[0].images) == 1
     with pytest.raises(nail.InputError, match="does not hold"):
         shown.nail.plot(name="fig99")
     assert {row["figure"] for row in shown.nail.summary()["claims"]} and shown.nail.report().count("<img") > 1

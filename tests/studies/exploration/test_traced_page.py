@@ -66,4 +66,4 @@ def test_readings_and_their_change_are_those_of_the_exported_scene(
     assert np.mean(np.abs(pulls) < 2) > 0.85
     assert np.sqrt(np.mean(np.square(pulls))) < 1.5
     shown.close()
-    all_shown(explored)
+    all_shown(explored, page=False)

@@ -87,7 +87,7 @@ def test_ratios_and_their_z_are_those_of_the_readings(monkeypatch, factor, z):
 
 @pytest.mark.long
 def test_page_and_terminal_state_the_ratio_and_an_interrupt(
-    chosen_jit, fewer_photons, untraced_tolerances, monkeypatch, tmp_path
+    chosen_jit, fewer_photons, untraced_tolerances, undrawn, monkeypatch, tmp_path
 ):
     quiet = SCENE.with_(**{"priors.spread": False})
 

@@ -589,9 +589,15 @@ def test_a_further_layout_on_a_traced_board_takes_milliseconds(chosen_jit, scene
 
 @pytest.mark.long
 def test_the_page_stands_alone_and_the_result_is_kept(computed, tmp_path):
-    all_shown(computed)
+    all_shown(computed, page=False)
     text = computed.nail.report()
-    assert text.count("<svg") == 5 and "http:" not in text and "https:" not in text and "paper" in text
+    assert (
+        text.startswith("<!doctype html>")
+        and text.count("<svg") == 5
+        and "http:" not in text
+        and "https:" not in text
+        and "paper" in text
+    )
     for title in ("Light [1/mm²]", "Shunted light [1/mm²]", "Proximal blood [%/%]", "Distal blood [%/%]"):
         assert title in text
     assert "0.5 mm off, the board is turned by 5 degrees, or an LED is" in text and "25 % off its power" in text
