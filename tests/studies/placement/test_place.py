@@ -645,8 +645,8 @@ def test_stored_light_is_placed_again_without_a_photon(computed, fewer_photons, 
 
 
 @pytest.mark.slow
-def test_one_layout_serves_digits_and_bloods_alike(chosen_jit):
-    """The worst of three fingers ranks; blood alone shares the trace of its digit."""
+def test_one_layout_serves_digits_and_bloods_alike(chosen_jit, untraced_tolerances):
+    """The worst of three fingers ranks; blood alone shares the trace of its digit: two digits on two boards."""
     cases = "".join(
         f'[[placement.fingers]]\nname = "{name}"\n{more}\n'
         for name, more in (
