@@ -144,24 +144,23 @@ def activated(chosen: backend.Backend) -> backend.Backend:
 
 def keep_shapes() -> None:
     """Let this process keep the shapes that it builds: many tests trace the same few fingers."""
-    from nailoptics.light.walk import finger as finger_walk, nail_reflectance as nail_reflectance
+    from nailoptics.light.walk import finger
 
-    for module in (nail_reflectance, finger_walk):
-        if module._built.cache_parameters()["maxsize"] < SHAPES_KEPT:
-            module._built = lru_cache(SHAPES_KEPT)(module._built.__wrapped__)
+    if finger.built.cache_parameters()["maxsize"] < SHAPES_KEPT:
+        finger.built = lru_cache(SHAPES_KEPT)(finger.built.__wrapped__)
 
 
 @lru_cache
-def _coarsely_built(name: str) -> Callable[..., Any]:
-    """What builds the shapes of a module, with coarse cells; it keeps them for all tests of this process."""
-    built = import_module(f"nailoptics.light.walk.{name}")._built.__wrapped__
+def _coarsely_built() -> Callable[..., Any]:
+    """What builds shapes with coarse cells; it keeps them for all tests of this process."""
+    built = import_module("nailoptics.light.walk.finger").built.__wrapped__
     geometry = import_module("nailoptics.geometry")
     coarse_grid = partial(geometry.distance_grid, spacing_mm=COARSE_MM)
 
-    def coarsely_built(scene: Any, variant: str) -> Any:
+    def coarsely_built(*shape: Any) -> Any:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(geometry, "distance_grid", coarse_grid)
-            return built(scene, variant)
+            return built(*shape)
 
     return lru_cache(SHAPES_KEPT)(coarsely_built)
 
@@ -170,8 +169,7 @@ def _coarsely_built(name: str) -> Callable[..., Any]:
 def coarse_cells(monkeypatch: pytest.MonkeyPatch) -> None:
     """Cells of the distances to interfaces that are soon made, here and in processes that are started: for few photons
     in many shapes. Light does not depend on them but by chance."""
-    for name in ("finger", "nail_reflectance"):
-        monkeypatch.setattr(f"nailoptics.light.walk.{name}._built", _coarsely_built(name))
+    monkeypatch.setattr("nailoptics.light.walk.finger.built", _coarsely_built())
     monkeypatch.setenv("PYTHONPATH", str(FEWER), prepend=os.pathsep)
 
 

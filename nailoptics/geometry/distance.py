@@ -1,7 +1,8 @@
-"""How far the nearest interface is: a grid of safe distances for light that wants to skip the search for a crossing."""
+"""Where no interface can be: shells around the nail's axis, and a grid of safe distances to all else, for light that
+wants to skip the search for a crossing."""
 
+import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,33 +18,34 @@ SPACING_MM = 0.3
 CAP_MM = 0.35
 COVERED = 0.4  # covering radius of the samples, in spacings
 SLACK = 0.02  # relative; lets the search for the nearest sample stop early
-CHUNK = 500_000
 # A triangle is part of a cylinder around the nail's axis where its distance to the axis varies by no more. [mm]
 SHELL_MM = 0.005
 # The shells with most of them are known, if they have so many square millimetres; all others are like any interface.
 SHELLS, LEAST_SHELL_MM2 = 8, 2.0
-# What single precision may add to heights. [mm]
-ROUNDING_MM = 1e-5
+# What single precision may add to heights, and how far light that has met a face may be off it. [mm]
+ROUNDING_MM, OFF_FACE_MM = 1e-5, 1e-4
 
 
 @dataclass(frozen=True)
 class DistanceGrid:
-    """Lower bounds on the distance to the nearest interface, cell by cell.
+    """Lower bounds on the distance to the nearest interface that is no part of a shell, cell by cell.
 
-    distance_mm : (nx, ny, nz) float32. From the cell's centre; never more than the true distance, at most CAP_MM; 0 in
-        the air. [mm]
-    off_shell_mm : (nx, ny, nz) float32. Likewise, to the nearest interface that is no part of a shell. [mm]
-    shells_mm : (s, 2) float. Between which heights over the nail plate's outer face each shell lies; all faces of
-        plate, bed and board are cylinders around one axis. [mm]
+    distance_mm : (2, nx, ny, nz) float32. From the cell's centre to the nearest one that reaches below `outer_mm`, and
+        that reaches above it; never more than the true distance, at most CAP_MM; 0 in the air. [mm]
+    in_shell : (m,) bool. Which triangles are parts of shells.
+    shells_mm : (s, 2) float. Between which heights over the nail plate's outer face each shell lies, a prism with many
+        sides; all faces of plate, bed and board are cylinders around one axis. [mm]
+    outer_mm : The least height of the shell that is the plate's outer face, on which walls of the board stand. [mm]
     origin_mm : (3,) float. Lowest corner of the first cell; its centre lies half a spacing further. [mm]
     spacing_mm : Edge of the cubic cells. [mm]
 
-    From a point p in a cell of centre c, the distance is at least distance_mm - |p - c|.
+    From a point p in a cell of centre c, a distance is at least distance_mm - |p - c|.
     """
 
     distance_mm: NDArray[np.float32]
-    off_shell_mm: NDArray[np.float32]
+    in_shell: NDArray[np.bool_]
     shells_mm: Array
+    outer_mm: float
     origin_mm: Array
     spacing_mm: float
 
@@ -52,12 +54,8 @@ class DistanceGrid:
         return self.origin_mm + self.spacing_mm * (np.asarray(cells) + 0.5)
 
 
-def distance_grid(
-    geometry: Geometry, *, spacing_mm: float = SPACING_MM, bounds_mm: Array | None = None
-) -> DistanceGrid:
-    """Lower bounds on the distance to the nearest interface.
-
-    bounds_mm : (2, 3) float. Lowest and highest corner; the whole geometry if not given. [mm]
+def distance_grid(geometry: Geometry, *, spacing_mm: float = SPACING_MM) -> DistanceGrid:
+    """Shells, and lower bounds on the distance to the nearest interface beside them.
 
     The bound is short by at most 2 % and 0.3 spacings, or 0.4 spacings where an interface is closer than half of one.
 
@@ -65,54 +63,57 @@ def distance_grid(
     to a point, then a sample of the same triangle (or edge, or vertex) lies within the lattice's covering radius r of
     q, at a right angle to the way to q; so distance^2 >= (distance to the nearest sample)^2 - r^2.
     """
+    from scipy.ndimage import maximum_filter
     from scipy.spatial import cKDTree
 
-    low, high = geometry.bounds_mm if bounds_mm is None else np.asarray(bounds_mm, float)
+    low, high = geometry.bounds_mm
     shape = np.maximum(np.ceil((high - low) / spacing_mm - 1e-9).astype(int), 1)
-    cells = np.argwhere(geometry.cells(low, spacing_mm, shape) != AIR)
+    filled = geometry.cells(low, spacing_mm, shape) != AIR
     corners = geometry.vertices[geometry.triangles]
-    in_shell, shells_mm = _shells(corners + [0, 0, geometry.nail_radius_mm])
-    # What lies farther from the cells than the cap is nearest to none of them.
-    reach = 2 * CAP_MM + spacing_mm
-    close = ((corners.max(axis=1) > low - reach) & (corners.min(axis=1) < high + reach)).all(axis=1)
+    lowest, highest = _heights(corners + [0, 0, geometry.nail_radius_mm]) - geometry.nail_radius_mm
+    in_shell, shells_mm = _shells(lowest, highest, _areas(corners))
+    outer_mm = max((bottom for bottom, top in shells_mm if bottom < 0 < top), default=np.inf)
     radius = COVERED * spacing_mm
-    distance, off_shell = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    grid = DistanceGrid(distance, off_shell, shells_mm - geometry.nail_radius_mm, low, spacing_mm)
-    distance[tuple(cells.T)] = off_shell[tuple(cells.T)] = CAP_MM
-    for bound_mm, chosen in ((distance, close), (off_shell, close & ~in_shell)):
+    reach = (1 + SLACK) * math.hypot(CAP_MM, radius)
+    grid = DistanceGrid(np.zeros((2, *shape), np.float32), in_shell, shells_mm, outer_mm, low, spacing_mm)
+    grid.distance_mm[:, filled] = CAP_MM
+    for bound_mm, reaches in zip(grid.distance_mm, (lowest < outer_mm, highest > outer_mm), strict=True):
+        points = _samples(geometry.vertices, geometry.triangles[~in_shell & reaches], radius)
+        near = np.zeros(shape, bool)
+        near[tuple(np.clip((points - low) // spacing_mm, 0, shape - 1).astype(int).T)] = True
+        # Farther cells than the cap, and half a cell for the middle of each, keep it.
+        near = maximum_filter(near, 2 * math.ceil(reach / spacing_mm + 0.5) + 1) & filled
         # A tree whose nodes are not shrunk to their points answers ten times faster here.
-        points = _samples(geometry.vertices, geometry.triangles[chosen], radius) if chosen.any() else ()
-        samples = cKDTree(points, leafsize=32, balanced_tree=False, compact_nodes=False) if len(points) else None
-        for start in range(0, len(cells) if samples else 0, CHUNK):
-            chunk = cells[start : start + CHUNK]
-            bound_mm[tuple(chunk.T)] = _bound(samples, grid.centers(chunk), radius) * (1 - 1e-6)
-        # Where no interface is near, no other one is.
-        cells = cells[bound_mm[tuple(cells.T)] < CAP_MM * (1 - 1e-5)]
+        samples = cKDTree(points, leafsize=32, balanced_tree=False, compact_nodes=False)
+        centers = grid.centers(np.argwhere(near))
+        nearest, _ = samples.query(centers, eps=SLACK, distance_upper_bound=reach, workers=-1)
+        bound = np.sqrt(np.maximum((np.minimum(nearest, reach) / (1 + SLACK)) ** 2 - radius**2, 0))
+        bound_mm[near] = np.minimum(bound, CAP_MM) * (1 - 1e-6)
     return grid
 
 
-def _shells(corners: Array) -> tuple[NDArray[np.bool_], Array]:
-    """Which of some triangles (m, 3, 3) are parts of cylinders around the y axis, (m,), and of each cylinder that has
-    enough of them the least and the largest distance of a place on it to the axis, (s, 2). [mm]"""
+def _heights(corners: Array) -> Array:
+    """The least and the largest distance of a place on each triangle (m, 3, 3) to the y axis, (2, m). [mm]"""
     flat, after = corners[..., ::2], np.roll(corners[..., ::2], -1, axis=1)
     along = after - flat
     part = -(flat * along).sum(-1) / np.maximum((along**2).sum(-1), 1e-12)
     nearest = np.linalg.norm(flat + np.clip(part, 0, 1)[..., None] * along, axis=-1).min(1)
-    farthest = np.linalg.norm(flat, axis=-1).max(1)
-    shell, thin = np.rint(farthest / SHELL_MM).astype(int), farthest - nearest < SHELL_MM
-    area_of = np.bincount(shell[thin], _areas(corners[thin]))
-    known = [one for one in np.argsort(-area_of, kind="stable")[:SHELLS] if area_of[one] >= LEAST_SHELL_MM2]
-    inside = [thin & (shell == one) for one in known]
-    between = [[nearest[one].min() - ROUNDING_MM, farthest[one].max() + ROUNDING_MM] for one in inside]
-    return thin & np.isin(shell, known), np.array(between).reshape(-1, 2)
+    return np.stack([nearest, np.linalg.norm(flat, axis=-1).max(1)])
 
 
-def _bound(samples: Any, points: Array, radius: float) -> Array:
-    """Lower bounds (k,), at most the cap, at points (k, 3) from samples that cover the interfaces within a radius."""
-    reach = (1 + SLACK) * float(np.hypot(CAP_MM, radius))
-    nearest, _ = samples.query(points, eps=SLACK, distance_upper_bound=reach, workers=-1)
-    bound = np.sqrt(np.maximum((np.minimum(nearest, reach) / (1 + SLACK)) ** 2 - radius**2, 0))
-    return np.asarray(np.minimum(bound, CAP_MM))
+def _shells(lowest: Array, highest: Array, area_mm2: Array) -> tuple[NDArray[np.bool_], Array]:
+    """Which triangles are parts of shells, by the heights (m,) between which they lie, and between which heights each
+    shell lies that has enough of them, none of them near another, (s, 2). [mm]"""
+    shell, thin = np.rint((highest - highest.min()) / SHELL_MM).astype(int), highest - lowest < SHELL_MM
+    area_of, between, in_shell = np.bincount(shell[thin], area_mm2[thin]), np.empty((0, 2)), np.zeros(len(thin), bool)
+    for one in np.argsort(-area_of, kind="stable"):
+        inside = thin & (shell == one)
+        if len(between) == SHELLS or area_of[one] < LEAST_SHELL_MM2:
+            break
+        bottom, top = lowest[inside].min() - ROUNDING_MM, highest[inside].max() + ROUNDING_MM
+        if ((bottom > between[:, 1] + 4 * OFF_FACE_MM) | (top < between[:, 0] - 4 * OFF_FACE_MM)).all():
+            between, in_shell = np.vstack([between, [bottom, top]]), in_shell | inside
+    return in_shell, between
 
 
 def _samples(vertices: Array, triangles: Indices, radius: float) -> Array:

@@ -382,8 +382,22 @@ MUTATIONS = (
     Mutation(
         "steps between two shells meet no other interface",
         "light/walk/interfaces.py",
-        "(inside & (step < here.off_shell + there.off_shell))",
-        "inside",
+        "return inside & (step < clear)",
+        "return inside",
+        "geometry/test_distance.py",
+    ),
+    Mutation(
+        "light that leaves a shell inwards may end among its faces",
+        "light/walk/interfaces.py",
+        "over = dr.select(on, side > 0, bottom < height)",
+        "over = on | (bottom < height)",
+        "geometry/test_distance.py",
+    ),
+    Mutation(
+        "what reaches above the plate's outer face alone is forgotten above it",
+        "light/walk/interfaces.py",
+        "here.below + there.below, here.above + there.above)",
+        "here.below + there.below, here.below + there.below)",
         "geometry/test_distance.py",
     ),
     Mutation(

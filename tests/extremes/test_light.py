@@ -306,12 +306,12 @@ def test_readings_do_not_hang_on_the_fineness_of_the_mesh(jit_backend, monkeypat
     result = []
     for resolution, seed in ((1.0, 1), (9.0, 2)):
         monkeypatch.setattr(geometry, "build", partial(build, resolution=resolution))
-        finger_walk._built.cache_clear()
+        finger_walk.built.cache_clear()
         tracer = finger_walk.FingerTracer(scene)
         batch = tracer.batch(0, photons=250_000, seed=seed)
         assert batch.energy["lost"][0] < 1e-4 * batch.photons
         total, square = batch.weight.sum(), (batch.weight**2).sum()
         result.append((total / batch.photons, float(stderr_of_mean(total, square, batch.photons))))
-    finger_walk._built.cache_clear()
+    finger_walk.built.cache_clear()
     (one, error), (other, more) = result
     assert abs(one - other) < 4 * math.hypot(error, more) and error < 0.05 * one

@@ -41,7 +41,7 @@ def covered(cover_um: int) -> str:
 def test_light_from_outside_takes_the_distances_that_the_leds_light_has(jit_backend):
     """Expected: a command that traces both makes the grid of distances once."""
     scene = parse_scene(covered(0))
-    built = import_module("nailoptics.light.walk.finger")._built
+    built = import_module("nailoptics.light.walk.finger").built
     built.cache_clear()
     trace(scene, photons=2000, store=False)
     trace_ambient(scene, SOURCES, TraceOptions(store=False), seed=0, photons=1000)

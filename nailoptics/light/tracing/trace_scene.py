@@ -1,9 +1,8 @@
 """Traces a scene: batches of each LED until its stopping criterion is met, from what is already stored."""
 
-import itertools
 import os
 import time
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import Any, Unpack
 
@@ -183,12 +182,6 @@ def take_batches(source: LedSource, stop: LedStoppingCriterion, progress: Progre
     def seconds() -> float:
         return time.perf_counter() - source.engine.wall_seconds - begin
 
-    def needed() -> Iterator[tuple[int, int]]:
-        for number in itertools.count():
-            if not (photons := stop.next_batch()):
-                return
-            yield number, photons
-
     def is_late(batch: tuple[int, int]) -> bool:
         return not source.has(*batch) and batch[0] > 0 and seconds() >= stop.seconds
 
@@ -199,4 +192,5 @@ def take_batches(source: LedSource, stop: LedStoppingCriterion, progress: Progre
         if progress:
             progress(stop.progress(seconds()))
 
-    return run_until(needed(), sample, is_late=is_late, report=report)
+    needed = enumerate(iter(stop.next_batch, 0))
+    return run_until(needed, sample, is_late=is_late, report=report)

@@ -20,22 +20,14 @@ from .sampling import PhotonEnds, WalkedPhotons, rotate_direction, survival
 from .splitting import Reach, Splitting, copies_of
 from .tallies import BoardTally, FluenceTally, Section
 
-# Scatterings without a ray before lanes wait for each other; more leave lanes idle, fewer cast rays for few lanes.
-FREE_EVENTS = 3
-# Most scatterings happen so near to the dies and photodiodes; beyond, every step casts a ray, which is only slower.
-ASIDE_MM, BELOW_MM, ABOVE_MM = 5.0, 6.5, 0.1
 PLATE, BED, EPOXY = (optics.TISSUES.index(name) for name in ("plate", "bed", "epoxy"))
 
 
 @lru_cache(maxsize=16)
-def _built(scene: Scene, variant: str) -> tuple[Geometry, Interfaces]:
+def built(scene: Scene, variant: str, board: bool = True) -> tuple[Geometry, Interfaces]:
     """A scene's geometry and what light meets there in a variant of Mitsuba, for all scenes of one shape; 5 MB."""
-    geometry = finger_geometry.build(scene)
-    faces = (*geometry.leds, *geometry.photodiodes)
-    corners = np.concatenate([np.asarray(face.quads).reshape(-1, 3) for face in faces])
-    low = np.maximum(corners.min(0) - [ASIDE_MM, ASIDE_MM, BELOW_MM], geometry.bounds_mm[0])
-    high = np.minimum(corners.max(0) + [ASIDE_MM, ASIDE_MM, ABOVE_MM], geometry.bounds_mm[1])
-    return geometry, Interfaces(geometry, finger_geometry.distance_grid(geometry, bounds_mm=np.stack([low, high])))
+    geometry = finger_geometry.build(scene, board=board)
+    return geometry, Interfaces(geometry, finger_geometry.distance_grid(geometry))
 
 
 class FingerTracer:
@@ -45,7 +37,7 @@ class FingerTracer:
         """with_faces : As for `trace`. one_by_one : As for `BoardTracer`."""
         self.scene = scene
         shape = finger_geometry.shaping(scene, with_faces=with_faces)
-        self.geometry, self.interfaces = _built(shape, str(mi.variant()))
+        self.geometry, self.interfaces = built(shape, str(mi.variant()))
         self.photodiodes = tuple(face.name for face in self.geometry.photodiodes)
         self.regions = []
         for led, die in zip(scene.leds, self.geometry.leds, strict=True):
@@ -158,7 +150,7 @@ class FingerWalk:
         while dr.hint(active, label="finger walk"):
             medium = self.regions.medium(photon.region, active)
             segment = self.scatter_freely(photon, medium, active)
-            casts = active & (segment.scatterings < FREE_EVENTS)
+            casts = active & (segment.scatterings < photon.free_events)
             hit, triangle = self.step_to_interface(photon, segment, medium, casts)
             events += segment.scatterings
             region = mi.UInt32(photon.region)
@@ -209,9 +201,11 @@ class FingerWalk:
         step = medium.free_path(photon.rng)
         segment = _Segment(step, mi.Float(0), [mi.Float(0) for _ in self.zones.edges], mi.UInt32(0))
         here = self.interfaces.clearance(photon.p, active)
-        layer = self.interfaces.layer(here.height)
-        ahead = self.interfaces.clearance(photon.p + photon.w * step, active)
-        while active & self.interfaces.is_free(segment.step, here, ahead, layer) & (segment.scatterings < FREE_EVENTS):
+        layer = self.interfaces.layer(here.height, photon.side)
+        ahead, most = self.interfaces.clearance(photon.p + photon.w * step, active), photon.free_events
+        here.height = dr.select(photon.side == 0, here.height, ahead.height)
+        photon.side = mi.Float(0)
+        while active & self.interfaces.is_free(segment.step, here, ahead, layer) & (segment.scatterings < most):
             self.advance(photon, segment, medium, True)
             cos = sampling.henyey_greenstein(medium.g, photon.rng.next_float32())
             photon.w = mi.Vector3f(rotate_direction(photon.w, cos, 2 * dr.pi * photon.rng.next_float32()))
@@ -262,7 +256,7 @@ class FingerWalk:
         regions, F = self.regions, mi.Float
         accepted = F(1)
         if hit:
-            normal, below, above = self.interfaces.sides(triangle)
+            normal, below, above, in_shell = self.interfaces.sides(triangle)
             up = dr.dot(photon.w, normal) > 0
             here, there = dr.select(up, below, above), dr.select(up, above, below)
             normal = dr.select(up, -normal, normal)
@@ -288,7 +282,10 @@ class FingerWalk:
             photon.outcome = dr.select(opaque & ~reflected, end, photon.outcome)
             # A photon that meets a face from a region that does not touch it has slipped through an edge.
             photon.outcome = dr.select(here == photon.region, photon.outcome, mi.UInt32(sampling.LOST))
-            photon.p = mi.Point3f(off_surface(photon.p, dr.select(reflected, normal, -normal)))
+            away = mi.Vector3f(dr.select(reflected, normal, -normal))
+            photon.p = mi.Point3f(off_surface(photon.p, away))
+            outwards = dr.fma(away.x, photon.p.x, away.z * (photon.p.z + self.interfaces.radius))
+            photon.side = dr.select(in_shell, dr.sign(outwards), 0)
             photon.region = dr.select(reflected, photon.region, there)
             if self.acceptance is not None:
                 accepted = self.acceptance.at_angle(photon.outcome - DETECTED, cos_in, photon.outcome >= DETECTED)

@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from ...geometry import DistanceGrid, Face, Geometry
-from ...geometry.distance import CAP_MM, SHELLS
+from ...geometry.distance import CAP_MM, OFF_FACE_MM, SHELLS
 from ...tissue import BloodZones
 from .. import optics
 from . import sampling
@@ -21,6 +21,8 @@ from .sampling import Photon, clip, maximum, minimum, rotate_direction, starts
 OVER_BED = ("plate", "epoxy")
 # The number of a triangle's region below and that above share the 24 bits that a float32 holds exactly.
 REGION_BITS = 11
+# Scatterings without a ray before lanes wait for each other; more leave lanes idle, fewer cast rays for few lanes.
+FREE_EVENTS = 3
 # Distances take two bytes.
 DISTANCE_STEP_MM = CAP_MM / 0xFFFF
 # Outcomes from here on name the photodiode that a photon reached; below, the opaque region.
@@ -40,6 +42,8 @@ class FingerPhoton(Photon):
     pending : Of these, a bit for each whose second copy is still to be walked.
     near_copies : Copies still to be walked of those into which it was split within reach of a photodiode, itself
         included; 0 where it is not split there.
+    side : Where it is on a face of a shell that it has just met, 1 outside of it and -1 inside; else 0.
+    free_events : How often it may scatter before it is asked whether it is to be split.
     """
 
     p: Any
@@ -48,6 +52,8 @@ class FingerPhoton(Photon):
     strides: Any = starts(0)
     pending: Any = starts(0)
     near_copies: Any = starts(0)
+    side: Any = starts(0.0)
+    free_events: Any = starts(FREE_EVENTS)
 
     def has_no_copies_left(self) -> Any:
         """Whether no copy of it is still to be walked."""
@@ -115,14 +121,14 @@ class Regions:
 
 @dataclass
 class Clearance:
-    """What is known at a place of the nearest interfaces.
+    """What is known at a place of the nearest interfaces that are no shells around the nail's axis.
 
-    distance, off_shell : None lies nearer, and none that is no shell around the nail's axis. [mm]
+    below, above : None lies nearer that reaches below the plate's outer face, or above it. [mm]
     height : Over the nail plate's outer face. [mm]
     """
 
-    distance: Any
-    off_shell: Any
+    below: Any
+    above: Any
     height: Any
 
 
@@ -136,24 +142,23 @@ class Interfaces:
         params["faces"] = mi.UInt32(geometry.triangles.astype(np.uint32).ravel())
         params.update()
         self.scene = mi.load_dict({"type": "scene", "interfaces": mesh}, optimize=False)
-        # Per triangle: normal (3) and, packed into the bits of the fourth number, the regions below and above.
+        # Per triangle: normal (3) and, packed into the bits of the fourth number, the regions below and above, and
+        # whether it is part of a shell.
         normal = geometry.normals(geometry.triangles)
-        pair = geometry.below + (geometry.above << REGION_BITS)
-        self.triangles = table_of_rows(np.column_stack([normal, pair]).astype(np.float32))
+        parts = geometry.below | geometry.above << REGION_BITS | distances.in_shell.astype(int) << 2 * REGION_BITS
+        self.triangles = table_of_rows(np.column_stack([normal, parts]).astype(np.float32))
         # Per cell, in the halves of one number, both in DISTANCE_STEP_MM.
-        distance, off_shell = (
-            np.floor(bound.T.ravel() / DISTANCE_STEP_MM).astype(np.uint32)
-            for bound in (distances.distance_mm, distances.off_shell_mm)
-        )
-        self.cells = mi.UInt32(distance << 16 | off_shell)
+        below, above = (np.floor(d.T.ravel() / DISTANCE_STEP_MM).astype(np.uint32) for d in distances.distance_mm)
+        self.cells = mi.UInt32(below << 16 | above)
         shells = np.full((SHELLS, 2), sampling.FAR)
         shells[: len(distances.shells_mm)] = distances.shells_mm
         self.shells = [[dr.opaque(mi.Float, float(x)) for x in shell] for shell in shells]
+        self.outer = dr.opaque(mi.Float, float(min(distances.outer_mm, sampling.FAR)))
         self.radius = dr.opaque(mi.Float, float(geometry.nail_radius_mm))
         # A chord lies so much lower than its ends, times the square of its length.
         least_mm = geometry.nail_radius_mm + min(0.0, *shells[:, 0])
         self.sagitta = dr.opaque(mi.Float, float(1 / (7.5 * least_mm)))
-        self.count = [dr.opaque(mi.UInt32, int(n)) for n in distances.distance_mm.shape]
+        self.count = [dr.opaque(mi.UInt32, int(n)) for n in distances.distance_mm.shape[1:]]
         self.origin = [dr.opaque(mi.Float, float(x)) for x in distances.origin_mm]
         self.spacing = dr.opaque(mi.Float, float(distances.spacing_mm))
 
@@ -162,12 +167,19 @@ class Interfaces:
         z = p.z + self.radius
         return dr.sqrt(dr.fma(p.x, p.x, z * z)) - self.radius
 
-    def layer(self, height: Any) -> tuple[Any, Any]:
-        """Between which heights a place lies that is in no shell, with no shell between. [mm]"""
+    def layer(self, height: Any, side: Any) -> tuple[Any, Any]:
+        """Between which heights a place lies that is in no shell, with no shell between; or light that leaves the one
+        that it has just met, at a `side` of it. [mm]
+
+        A shell is convex: what leaves a face of it outwards meets none of its faces, and what leaves it inwards none
+        before it has been below all of them.
+        """
         low, high = mi.Float(-sampling.FAR), mi.Float(sampling.FAR)
         for bottom, top in self.shells:
-            low = dr.select(bottom < height, maximum(low, top), low)
-            high = dr.select(bottom < height, high, minimum(high, bottom))
+            on = (side != 0) & (height > bottom - OFF_FACE_MM) & (height < top + OFF_FACE_MM)
+            over = dr.select(on, side > 0, bottom < height)
+            low = dr.select(over, maximum(low, top), low)
+            high = dr.select(over, high, minimum(high, bottom))
         return low, high
 
     def clearance(self, p: Any, active: Any) -> Clearance:
@@ -182,21 +194,25 @@ class Interfaces:
             off.append((place - mi.Float(index) - 0.5) * self.spacing)
         at = cell[0] + self.count[0] * (cell[1] + self.count[1] * cell[2])
         word, away = dr.gather(mi.UInt32, self.cells, at, inside), dr.norm(mi.Vector3f(off))
-        distance, off_shell = mi.Float(word >> 16) * DISTANCE_STEP_MM, mi.Float(word & 0xFFFF) * DISTANCE_STEP_MM
-        return Clearance(maximum(distance - away, 0), maximum(off_shell - away, 0), self.height(p))
+        below, above = mi.Float(word >> 16) * DISTANCE_STEP_MM, mi.Float(word & 0xFFFF) * DISTANCE_STEP_MM
+        return Clearance(maximum(below - away, 0), maximum(above - away, 0), self.height(p))
 
     def is_free(self, step: Any, here: Clearance, there: Clearance, layer: tuple[Any, Any]) -> Any:
         """Whether no interface lies on a step between two places, the first of them in a layer between shells."""
         low, high = layer
+        # Of all else only what reaches into the layer can lie there.
+        clear = dr.select(high <= self.outer, here.below + there.below, here.above + there.above)
         low = dr.fma(self.sagitta, step * step, low)
         inside = (minimum(here.height, there.height) > low) & (maximum(here.height, there.height) < high)
-        return (step < here.distance + there.distance) | (inside & (step < here.off_shell + there.off_shell))
+        return inside & (step < clear)
 
-    def sides(self, triangle: Any) -> tuple[Any, Any, Any]:
-        """A triangle's normal, the region below it, and the one above, to which the normal points."""
-        row = dr.gather(mi.Vector4f, self.triangles, triangle)
-        pair = mi.UInt32(row.w)
-        return mi.Vector3f(row.x, row.y, row.z), pair & ((1 << REGION_BITS) - 1), pair >> REGION_BITS
+    def sides(self, triangle: Any) -> tuple[Any, Any, Any, Any]:
+        """A triangle's normal, the region below it, the one above, to which the normal points, and whether it is part
+        of a shell."""
+        row, most = dr.gather(mi.Vector4f, self.triangles, triangle), (1 << REGION_BITS) - 1
+        parts = mi.UInt32(row.w)
+        shell = parts >> 2 * REGION_BITS > 0
+        return mi.Vector3f(row.x, row.y, row.z), parts & most, parts >> REGION_BITS & most, shell
 
 
 class Emitter:

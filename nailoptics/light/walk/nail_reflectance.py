@@ -6,7 +6,7 @@ the eye to that place that comes back anywhere: every photon counts (Helmholtz; 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import drjit as dr
@@ -20,6 +20,7 @@ from ...statistics import seed_of
 from .. import optics
 from ..identity import light_scene
 from ..tracing.store import LightStore, cache_key, load_or_compute
+from . import finger
 from .finger import FingerTracer, FingerWalk
 from .interfaces import Interfaces, Regions, ZoneEdges, table_of_rows
 from .sampling import TOP, PhotonEnds, PhotonQueue
@@ -28,8 +29,6 @@ from .sampling import TOP, PhotonEnds, PhotonQueue
 BATCH = 1 << 18
 # Rays start so far above the highest place of the finger. [mm]
 ABOVE_MM = 0.5
-# Most scatterings happen so near to where light enters; beyond, every step casts a ray, which is only slower. [mm]
-ASIDE_MM, BELOW_MM = 3.0, 6.0
 # So much finger is there behind the nail: with less, skin there would lose red light through the end. [mm]
 BEHIND_MM = 10.0
 # What is recorded of a ray that came back.
@@ -103,7 +102,7 @@ class NailReflectance:
     @cached_property
     def finger(self) -> tuple[Geometry, Interfaces]:
         """The finger's shape, and what the rays meet."""
-        return _built(finger_geometry.shaping(self.scene), str(mi.variant()))
+        return finger.built(finger_geometry.shaping(self.scene), str(mi.variant()), False)
 
     def reflect(
         self, wavelength_nm: float, patches: Sequence[Patch], *, mu_a: np.ndarray, photons: int, seed: int, groups: int
@@ -199,13 +198,3 @@ def as_seen(scene: Scene) -> Scene:
     finger = scene.fingertip
     length_mm = max(finger.length_mm, finger.nail_length_mm + BEHIND_MM)
     return scene.model_copy(update={"light": light, "finger": finger.model_copy(update={"length_mm": length_mm})})
-
-
-@lru_cache(maxsize=2)
-def _built(scene: Scene, variant: str) -> tuple[Geometry, Interfaces]:
-    """The geometry without a board, and what light meets there in a variant of Mitsuba."""
-    geometry = finger_geometry.build(scene, board=False)
-    low, high = (np.array(corner) for corner in geometry.bounds_mm)
-    low[1] = max(low[1], -scene.fingertip.nail_length_mm / 2 - ASIDE_MM)
-    low[2] = max(low[2], -BELOW_MM)
-    return geometry, Interfaces(geometry, finger_geometry.distance_grid(geometry, bounds_mm=np.stack([low, high])))

@@ -8,14 +8,14 @@ import mitsuba as mi
 import numpy as np
 
 from ...geometry import Face, Geometry
-from .interfaces import DETECTED, FingerPhoton, Regions
+from .interfaces import DETECTED, FREE_EVENTS, FingerPhoton, Regions
 from .sampling import absorption_depth, survival
 from .tallies import CellGrid
 
 # A photon over the bed that comes within reach of a photodiode, and flies so that it will miss it by no more than
 # AIM_MM, is walked there as so many copies of equal shares of its weight; one flatter than LEAST_COS never is.
 COPIES = 6
-REACH_MM, AIM_MM, LEAST_COS = 0.8, 0.35, 0.1
+REACH_MM, AIM_MM, LEAST_COS = 0.8, 0.25, 0.1
 # How far photodiodes are is known on cells of this size, seen from above.
 CELL_MM = 0.1
 # On its way in tissue each stride from the LED leaves half of the light or so, and each photon that has made one
@@ -81,6 +81,8 @@ class Splitting:
         in_tissue = dr.gather(mi.Float, regions.mu_s, photon.region, active) > 0
         made = self.reach.made(photon.p, active)
         within, aims = self.reach.near(photon.p, photon.w, dr.gather(mi.Bool, regions.over_bed, photon.region, active))
+        # There each scattering may turn it towards one.
+        photon.free_events = dr.select(within & (photon.near_copies == 0), mi.UInt32(1), FREE_EVENTS)
         splits = active & (photon.outcome == 0) & (photon.near_copies == 0)
         strides = splits & in_tissue & (made > photon.strides)
         _fork(photon, forks, strides, splits & aims & ~strides)
@@ -166,7 +168,7 @@ def _go_on(photon: FingerPhoton, forks: list[Any], far: Any, back: Any, active: 
         photon.near_copies = dr.select(from_near, photon.near_copies - 1, 0)
         photon.strides = dr.select(from_near, photon.strides, place + 1)
         photon.pending ^= dr.select(from_near, 0, mi.UInt32(1) << place)
-        photon.outcome = mi.UInt32(0)
+        photon.side, photon.outcome = mi.Float(0), mi.UInt32(0)
     photon.weight = dr.select(photon.outcome > 0, photon.weight * copies_of(photon), photon.weight)
 
 

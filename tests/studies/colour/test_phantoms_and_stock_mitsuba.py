@@ -49,8 +49,8 @@ class FlatStack(NailReflectance):
             grid=None,
         )
         # No distance is known anywhere: every step casts a ray.
-        unknown = np.zeros((1, 1, 1), np.float32)
-        self.flat = shape, DistanceGrid(unknown, unknown, np.zeros((0, 2)), np.zeros(3), 1.0)
+        unknown, flat = np.zeros((2, 1, 1, 1), np.float32), np.zeros(len(shape.triangles), bool)
+        self.flat = shape, DistanceGrid(unknown, flat, np.zeros((0, 2)), np.inf, np.zeros(3), 1.0)
 
     @property
     def finger(self):

@@ -40,7 +40,7 @@ def made_once(chosen_jit):
     """Small batches, so that every block of a map has its own; its geometry is made once."""
     patch = pytest.MonkeyPatch()
     patch.setattr(BoardTracer, "batch_photons", BATCH)
-    patch.setattr(finger_walk, "_built", lru_cache(maxsize=4)(finger_walk._built.__wrapped__))
+    patch.setattr(finger_walk, "built", lru_cache(maxsize=4)(finger_walk.built.__wrapped__))
     # The closer look at the best has its own test.
     patch.setattr(place, "verify_layout", lambda *_, **__: xr.Dataset())
     yield

@@ -42,7 +42,7 @@ def computed(chosen_jit) -> list[xr.Dataset]:
     """The same placement with twenty seeds, in small batches; its four geometries are made once."""
     patch = pytest.MonkeyPatch()
     patch.setattr(BoardTracer, "batch_photons", PHOTONS // verification.LEAST_BATCHES)
-    patch.setattr(finger_walk, "_built", lru_cache(maxsize=8)(finger_walk._built.__wrapped__))
+    patch.setattr(finger_walk, "built", lru_cache(maxsize=8)(finger_walk.built.__wrapped__))
     patch.setattr(verification, "PHOTONS", 1 << 15)
     try:
         return [place(scene(), photons=PHOTONS, seed=seed) for seed in SEEDS]
