@@ -184,7 +184,8 @@ def test_the_shipped_nail_plate_and_its_priors_are_what_their_script_fits():
 @pytest.mark.long
 @pytest.mark.jit
 def test_one_more_step_of_its_fit_leaves_the_shipped_pulp_as_it_is(chosen_jit, monkeypatch):
-    """Of 100 000 rays; expected: a Gauss-Newton step of less than 2 % in every value (0.6 % was seen)."""
+    """Of 100 000 rays; expected: a Gauss-Newton step of less than 2 % in scattering, its power and absorption, and of
+    less than 10 % in the blood, four times what six seeds scatter by there (0.4, 0.3, 0.8 and 2.5 %)."""
     monkeypatch.syspath_prepend(Path(__file__).parents[2] / "assets/spectra")
     import fit_fingertip_skin as fit
 
@@ -195,7 +196,7 @@ def test_one_more_step_of_its_fit_leaves_the_shipped_pulp_as_it_is(chosen_jit, m
     here, width = fit.misfit(shipped, skin, people), 1e-3
     slope = np.stack([fit.misfit(shipped + width * one, skin, people) - here for one in np.eye(4)], -1) / width
     step = np.linalg.lstsq(slope, -here)[0]
-    assert np.all(np.abs(step) < 0.02), step
+    assert np.all(np.abs(step) < [0.02, 0.02, 0.02, 0.1]), step
 
 
 @pytest.mark.slow
