@@ -506,6 +506,13 @@ MUTATIONS = (
         "sensor/test_volts.py",
     ),
     Mutation(
+        "an estimate begins as if the sensor were on since the calibration",
+        "studies/force/kalman.py",
+        "jacobian.T + subject.drift_covariance + put_on",
+        "jacobian.T + subject.drift_covariance",
+        "studies/force/test_donning.py",
+    ),
+    Mutation(
         "a sensor is put on anew when it is taken off",
         "sensor/volts.py",
         "prepend=False)) // 2",

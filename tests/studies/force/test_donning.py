@@ -17,6 +17,7 @@ from nailoptics.scene.protocol import FIRST_REST_S, OFF_S, protocol
 from nailoptics.sensor.volts import drift_and_motion
 from nailoptics.studies.force.calibrate import calibrate_with, checked
 from nailoptics.studies.force.fit import Fit
+from nailoptics.studies.force.kalman import StateSpace
 from nailoptics.studies.force.person import NAMES
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.subject import Subject, parse_subject
@@ -68,6 +69,11 @@ def slowly_recorded(seed: int) -> Recording:
 def test_a_calibration_learns_how_readings_differ_when_the_sensor_is_put_on_anew() -> None:
     once, subject = calibrated(slowly_recorded(4)), calibrated(every_other(twice()))
     assert once.noise.donning == 0.0 and subject.noise.donning == pytest.approx(next_from_mean(gains(8, 1)), rel=0.2)
+    # What an estimate begins from is as uncertain in every reading, and nowhere else.
+    still = replace(subject, noise=replace(subject.noise, donning=0.0))
+    begins = [StateSpace(one) for one in (subject, still)]
+    more = np.diag([0.0] * begins[0].drift.start + [subject.noise.donning**2] * 8)
+    assert begins[0].initial()[1] - begins[1].initial()[1] == pytest.approx(more, rel=1e-6, abs=1e-12)
     # Every other reading, every other two, and the first four against the last, as where blood shifts between zones.
     anew = [put_on(slowly_recorded(9 + pattern), pattern) for pattern in (1, 2, 4)]
     results = [predict(subject, one) for one in anew]
