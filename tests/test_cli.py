@@ -129,7 +129,7 @@ BAD_COMMANDS = {
 
 
 @pytest.mark.parametrize("mistake", BAD_COMMANDS)
-def test_a_mistaken_command_ends_in_one_line_with_code_2(mistake, folder, capfd):
+def test_an_invalid_command_is_one_line_and_exit_code_2(mistake, folder, capfd):
     arguments, word = BAD_COMMANDS[mistake]
     (folder / "existing").write_text("a file")
     (folder / "full/result.nc").mkdir(parents=True)
@@ -161,7 +161,7 @@ def test_mistakes_in_a_process_of_their_own_leave_one_line_too(folder):
         assert (done.returncode, done.stdout, len(done.stderr.splitlines())) == (2, "", 1), done
 
 
-def test_a_fault_of_ours_is_one_line_and_exit_code_1(capfd, monkeypatch):
+def test_an_internal_error_is_one_line_and_exit_code_1(capfd, monkeypatch):
     monkeypatch.setattr("nailoptics.scene.json_schema", lambda: 1 / 0)
     assert run(["schema"]) == 1
     err = capfd.readouterr().err
@@ -171,7 +171,7 @@ def test_a_fault_of_ours_is_one_line_and_exit_code_1(capfd, monkeypatch):
         run(["schema"])
 
 
-def test_names_that_steer_a_terminal_are_written_out(folder, capfd, coarse_light):
+def test_names_with_terminal_control_characters_are_escaped(folder, capfd, coarse_light):
     """A name that clears the screen, renames the window or turns the writing round, in a file's name and in a scene."""
     name = "a\x1b[2J\x1b]0;b\x07\u202ec\nd"
     part = 'part = "led_800"'
@@ -186,7 +186,7 @@ def test_names_that_steer_a_terminal_are_written_out(folder, capfd, coarse_light
     assert (out + err).replace("\n", "").isprintable()
 
 
-def test_names_that_the_terminals_encoding_lacks_are_written_out(folder, coarse_light):
+def test_names_that_the_terminals_encoding_lacks_are_escaped(folder, coarse_light):
     (folder / "\u6307\u7532.toml").write_text(SMALL_FINGER)
     done = spawn("check", "\u6307\u7532.toml", env={"PYTHONIOENCODING": "ascii"})
     assert done.returncode == 0 and done.stdout.startswith(r"\u6307\u7532.toml: "), done.stderr
@@ -377,7 +377,7 @@ def test_the_help_of_explore_names_all_wavelengths_that_it_traces(capsys):
 
 
 @pytest.mark.jit
-def test_few_photons_have_no_stated_error(folder, capfd, chosen_jit):
+def test_few_photons_have_no_standard_error(folder, capfd, chosen_jit):
     """One photon has no spread, and that of a few says nothing; neither must pass for exact, nor break the JSON."""
     (folder / "phantom.toml").write_text(PHANTOM)
     for photons in ("1", "4"):
@@ -453,7 +453,7 @@ def test_schema_and_doctor_print_json(folder, capfd):
 
 
 @pytest.mark.long
-def test_figures_draws_a_set_and_judges_it(folder, capfd):
+def test_figures_draws_and_evaluates_a_set(folder, capfd):
     assert run(["figures", "-o", "pictures", "--set", "best", "--no-colour", "--json"]) == 0
     result = only_json(capfd)
     assert all((folder / picture).stat().st_size > 10_000 for picture in result["pictures"])
@@ -464,7 +464,7 @@ def test_figures_draws_a_set_and_judges_it(folder, capfd):
 
 
 @pytest.mark.slow
-def test_figures_of_people_are_drawn_and_judged_beside_a_set(folder, capfd, monkeypatch):
+def test_figures_of_people_are_drawn_and_evaluated_beside_a_set(folder, capfd, monkeypatch):
     from nailoptics.studies import people
 
     scenes = people.people()[:3]
@@ -477,7 +477,7 @@ def test_figures_of_people_are_drawn_and_judged_beside_a_set(folder, capfd, monk
 
 
 @pytest.mark.long
-def test_a_library_that_is_none_costs_the_main_job_nothing_but_speed(folder):
+def test_an_invalid_library_costs_the_main_job_nothing_but_speed(folder):
     """Rationale: DRJIT_LIBLLVM_PATH may point to a text file, or to a library that aborts the process.
     Expected: one line of advice, then the scalar backend's answer."""
     (folder / "phantom.toml").write_text(PHANTOM)
@@ -498,7 +498,7 @@ def test_a_library_that_is_none_costs_the_main_job_nothing_but_speed(folder):
 
 
 @pytest.mark.long
-def test_a_library_that_aborts_cannot_take_the_main_job_with_it(folder):
+def test_an_aborting_library_does_not_crash_the_main_job(folder):
     """Rationale: a broken libLLVM aborts the process that runs a kernel. Expected: whatever process tries one dies,
     really, and the command still answers, with its line of advice."""
     (folder / "phantom.toml").write_text(PHANTOM)

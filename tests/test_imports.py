@@ -135,7 +135,7 @@ def test_a_module_imports_only_from_packages_before_its_own():
         ('import_module("nailoptics.report.accessor").Nail', "nailoptics.display", False, ["report"]),
     ],
 )
-def test_the_order_is_seen_through_every_kind_of_import(source, module, package, result):
+def test_the_order_is_checked_for_every_kind_of_import(source, module, package, result):
     assert broken(source, module.split("."), package=package) == result
 
 
@@ -185,12 +185,12 @@ def circle(imports: dict[str, set[str]]) -> list[str]:
     return next((result for module in imports if (result := search(module, []))), [])
 
 
-def test_no_modules_import_each_other_in_a_circle():
+def test_no_modules_import_each_other_circularly():
     """Not in one room, not inside functions, not for the type checker."""
     assert circle({name: modules_imported(path) for name, path in MODULES.items()}) == []
 
 
-def test_a_circle_is_found():
+def test_a_circular_import_is_detected():
     assert circle({"a": {"b"}, "b": {"c", "d"}, "c": set(), "d": {"b"}}) == ["b", "d"]
 
 

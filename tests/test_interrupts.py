@@ -66,7 +66,7 @@ def written(folder: Path) -> set[str]:
 
 @pytest.mark.long
 @pytest.mark.jit
-def test_explore_ends_within_a_batch_and_writes_no_page_of_too_little(folder, interrupting, small_page):
+def test_explore_ends_within_a_batch_and_writes_no_page_without_all_groups(folder, interrupting, small_page):
     """A batch of every group of each wavelength gives its errors: at the third of the first nothing can be shown."""
     ended = interrupting.at(BATCH, *EXPLORE, call=3)
     assert (ended.code, ended.later) == (130, 0) and not written(folder)
@@ -173,7 +173,7 @@ def test_a_calibration_is_not_made_of_a_part_of_its_light(folder, interrupting, 
 
 @pytest.mark.long
 @pytest.mark.jit
-def test_a_command_in_the_background_of_a_script_hears_no_interrupt(folder, chosen_jit, store):
+def test_a_command_in_the_background_of_a_script_ignores_interrupts(folder, chosen_jit, store):
     """A shell lets it ignore SIGINT, which is for the script; expected: it goes on to its end."""
     ended = interrupted_at("nailoptics.light.tracing.trace_scene:take_batches", *SIMULATE, ignored=True)
     assert ended.code == 0 and written(folder / "out") == set(SIMULATION.files)
@@ -191,7 +191,7 @@ def alone(code: str) -> tuple[int, str]:
 NOTHING = (130, f"{COMPLETE}\n")
 
 
-def test_what_compiled_code_makes_of_an_interrupt_is_no_fault_of_ours():
+def test_an_interrupt_within_compiled_code_is_no_internal_error():
     code = """
 import os, signal, sys, nailoptics.scene
 from nailoptics.__main__ import main

@@ -84,7 +84,7 @@ def test_an_interrupted_write_leaves_the_old_file_and_nothing_else(tmp_path, mon
     assert path.read_text() == "old" and names(tmp_path) == ["file"]
 
 
-def test_what_is_no_place_for_a_file_is_the_users_fault(tmp_path):
+def test_an_invalid_output_path_is_an_input_error(tmp_path):
     (tmp_path / "folder").mkdir()
     os.mkfifo(tmp_path / "pipe")
     io.write_text(tmp_path / "file", "x")
@@ -186,7 +186,7 @@ def test_a_full_disk_leaves_the_old_dataset(tmp_path, monkeypatch):
     assert caught.value.exit_code == 1 and names(tmp_path) == ["set.nc"] and (tmp_path / "set.nc").read_text() == "old"
 
 
-def test_a_written_dataset_says_its_conventions_and_what_its_axes_are(tmp_path):
+def test_a_written_dataset_states_its_conventions_and_axes(tmp_path):
     given = xr.Dataset({"a": (("led", "so2"), [[1.0]])}, {"led": ["ir"], "so2": [0.9]})
     io.write_dataset(given, tmp_path / "set.nc")
     written = xr.load_dataset(tmp_path / "set.nc", engine="h5netcdf")
@@ -269,7 +269,7 @@ def test_concurrent_writers_of_one_file_leave_a_whole_one(tmp_path):
     assert [writer.returncode for writer in writers] == [0] * 4 and names(tmp_path) == ["file"]
 
 
-def test_asking_whether_files_can_be_written_makes_nothing(tmp_path):
+def test_checking_whether_files_can_be_written_creates_nothing(tmp_path):
     (tmp_path / "file").touch()
     (tmp_path / "out/result.nc").mkdir(parents=True)
     io.check_writable(tmp_path / "new/deep", "result.nc")

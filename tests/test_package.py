@@ -94,7 +94,7 @@ def test_a_checkout_finds_its_assets_and_scenes():
     assert assets.data_dir("scenes").resolve() == ROOT / "scenes"
 
 
-def test_a_package_without_its_data_says_so(monkeypatch, tmp_path):
+def test_a_package_without_its_data_reports_it(monkeypatch, tmp_path):
     monkeypatch.setattr(assets, "_PACKAGE", tmp_path / "nailoptics")
     with pytest.raises(nailoptics.InputError, match="install nailoptics again"):
         assets.data_dir("assets")
@@ -186,7 +186,7 @@ def test_a_script_reaches_every_study_by_its_public_name(chosen_jit, tmp_path):
     assert done.stdout.split() == ["led", "photodiode", "time", "blood", "True"]
 
 
-def test_every_module_says_what_it_is_for_in_its_first_line():
+def test_every_module_states_its_purpose_in_its_first_line():
     for path in sorted((ROOT / "nailoptics").rglob("*.py")):
         _, doc = stated(path)
         assert doc and doc.splitlines()[0].strip(), path
@@ -280,7 +280,7 @@ def test_what_was_built_names_its_commit(tmp_path, monkeypatch):
     assert version.commit.__wrapped__() == "0123abc" != before
 
 
-def test_results_name_versions_and_the_commit_where_it_is_known(monkeypatch):
+def test_results_name_versions_and_the_commit_where_it_is_available(monkeypatch):
     monkeypatch.setattr(version, "commit", lambda: "0123abc")
     result = version.code_attributes({"nailoptics": "1", "numpy": "2"})
     assert result == {"versions": "nailoptics=1 numpy=2", "commit": "0123abc"}

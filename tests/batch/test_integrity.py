@@ -251,7 +251,7 @@ def test_a_folder_that_is_removed_ends_the_run(calm, tmp_path):
         run_batch(calm.sweep, folder, workers=1, progress=remove)
 
 
-def test_a_second_interrupt_says_where_what_is_done_lies(calm, used, monkeypatch, capsys):
+def test_a_second_interrupt_reports_where_finished_results_lie(calm, used, monkeypatch, capsys):
     """The second one comes while the page is written."""
 
     def interrupted(*arguments, **more):

@@ -232,7 +232,9 @@ def test_scenes_of_one_light_trace_it_once(jit_backend, here, fingers, tmp_path)
     assert not bool(results.saturated_ever.any()) and float(abs(ratio - 2).max()) < 0.05
 
 
-def test_a_damaged_result_and_damaged_light_are_found_said_and_made_again(jit_backend, here, tmp_path, caplog):
+def test_a_damaged_result_and_damaged_light_are_detected_reported_and_computed_again(
+    jit_backend, here, tmp_path, caplog
+):
     sweep = phantoms(tmp_path, 4)
     run_batch(sweep, tmp_path / "b", workers=1)
     before = bits(tmp_path / "b")

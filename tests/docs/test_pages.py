@@ -41,7 +41,7 @@ def test_all_pages_build_and_their_notebooks_run(tmp_path, chosen_jit, coarse_ce
         assert drawn, page.name
 
 
-def test_a_broken_link_is_found(tmp_path):
+def test_a_broken_link_is_detected(tmp_path):
     html, readme = tmp_path / "html", tmp_path / "README.md"
     html.mkdir()
     (tmp_path / "docs").mkdir()

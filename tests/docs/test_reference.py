@@ -66,14 +66,14 @@ def words(one: dict[str, Any], schema: dict[str, Any]) -> str:
 
 
 @pytest.mark.parametrize("kind", SCHEMAS)
-def test_every_field_says_what_it_is(kind):
+def test_every_field_is_described(kind):
     schema = SCHEMAS[kind]
     silent = [f"{table}.{name}" for table, name, one in fields(schema) if not words(one, schema) and name != "kind"]
     assert silent == []
 
 
 @pytest.mark.parametrize("kind", SCHEMAS)
-def test_a_field_with_a_unit_in_its_name_says_the_same_in_its_words(kind):
+def test_a_field_with_a_unit_in_its_name_states_it_in_its_description(kind):
     wrong = []
     for table, name, one in fields(SCHEMAS[kind]):
         unit = UNITS.get(name.rpartition("_")[2]) if "_per_" not in name and "_" in name else None
@@ -110,7 +110,7 @@ def test_the_parts_page_has_every_shipped_part_with_its_source(made):
         assert re.search(rf"^`{path.stem}` \(\w+\)\n: \S", made["parts"], re.M), path.stem
 
 
-def test_every_output_variable_has_words_that_read_as_english():
+def test_every_output_variable_is_described_in_english():
     table = json.loads((DOCS / "output_variables.json").read_text(encoding="utf-8"))
     for file, result in table.items():
         for name, one in result["variables"].items():
@@ -140,7 +140,7 @@ def test_every_variable_of_a_study_is_documented():
     assert {name: path for name, path in made.items() if name not in documented} == {}
 
 
-def test_every_parameter_of_a_public_function_has_its_words():
+def test_every_parameter_of_a_public_function_is_described():
     """Of what the docstring says, and of what is alike everywhere."""
     generated, counted = runpy.run_path(str(DOCS / "generated.py")), 0
     for name in nailoptics.__all__:

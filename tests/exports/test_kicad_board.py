@@ -70,7 +70,7 @@ def test_a_layout_on_its_own_board_is_read_again_where_it_was(tmp_path, side, tu
         assert (now.rotation_deg - was.rotation_deg + 180) % 360 - 180 == pytest.approx(0, abs=1e-6)
 
 
-def test_a_further_part_is_added_and_a_missing_one_stays_with_a_word(tmp_path, caplog):
+def test_a_further_part_is_added_and_a_missing_one_stays_and_is_reported(tmp_path, caplog):
     scene = written(tmp_path)
     old, (u, v) = scene.photodiodes[0], scene.photodiodes[0].position_mm
     new = tuple(

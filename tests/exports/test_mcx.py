@@ -175,7 +175,7 @@ def test_pmcx_takes_every_keyword(folder):
 
 
 @pytest.mark.slow
-def test_pmcxcl_reads_an_exported_finger_as_we_do_but_for_the_staircase(tmp_path, chosen_jit):
+def test_pmcxcl_agrees_on_an_exported_finger_but_for_the_staircase(tmp_path, chosen_jit):
     """Rationale: MCX for OpenCL, on a processor, must find light in the same photodiodes.
 
     Expected: readings within 6 % and 3 standard errors of ours (2 % were seen in such cubes, 9 % in those of 0.1 mm)

@@ -117,7 +117,7 @@ def test_keywords_are_those_of_pmmc(folder):
     assert (result["nphoton"], result["seed"], result["nthread"]) == (10, 5, 2)
 
 
-def test_the_page_says_what_this_scene_loses(oximeter, folder, geometry, tmp_path):
+def test_the_page_lists_the_approximations_of_this_scene(oximeter, folder, geometry, tmp_path):
     text = (folder / "README.md").read_text(encoding="utf-8")
     assert "Lambertian, from the whole die | 64 cones" in text
     assert f"line width of LED {oximeter.leds[1].name} | {oximeter.leds[1].fwhm_nm:g} nm" in text
@@ -161,7 +161,7 @@ def pmmc() -> None:
 
 
 @pytest.mark.slow
-def test_pmmc_reads_an_exported_finger_as_we_do(pmmc, chosen_jit, tmp_path):
+def test_pmmc_agrees_on_an_exported_finger(pmmc, chosen_jit, tmp_path):
     """Rationale: another program, with other arithmetic on other cells, must agree on the same finger.
 
     Expected: eight readings and what less and more blood changes of them within 3 standard errors, chi^2 likely, and

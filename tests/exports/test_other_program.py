@@ -40,7 +40,7 @@ def synthetic(seed: int, *, brighter: float = 1.0, shared: float = 0.0) -> LedTr
 
 
 @pytest.mark.parametrize("shared", [0.0, 0.6])
-def test_errors_are_true(scene, shared):
+def test_standard_errors_and_p_values_are_calibrated(scene, shared):
     """Of many pairs of runs of one truth, differences spread as their standard errors say, and p-values evenly, also
     where neighbouring photodiodes share photons."""
     made = [synthetic(seed, shared=shared) for seed in range(300)]
@@ -58,7 +58,7 @@ def test_errors_are_true(scene, shared):
     assert np.abs(p - (np.arange(len(p)) + 0.5) / len(p)).max() < 1.63 / math.sqrt(len(p))
 
 
-def test_another_truth_is_seen(scene):
+def test_a_brighter_scene_is_detected(scene):
     result = compared(synthetic(1), OtherDetection("other", scene, 0, synthetic(2, brighter=1.2)))
     ratio, stderr = result.total.ratio
     assert result.p_value < 1e-3 and ratio == pytest.approx(1 / 1.2, abs=4 * stderr)

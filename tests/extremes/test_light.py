@@ -90,7 +90,7 @@ def test_slabs_from_thin_to_thick_meet_adding_doubling(jit_backend, mu_a, mu_s, 
 
 @jit
 @pytest.mark.parametrize("g", [-0.99, -0.5, -1e-3, 0.0, 9.99e-4, 1.001e-3, 0.5, 0.99, 0.999])
-def test_one_scattering_turns_light_as_henyey_and_greenstein_say(jit_backend, g):
+def test_one_scattering_turns_light_by_henyey_and_greenstein(jit_backend, g):
     """Thin matched layer: of what is scattered the part (1 - g^2)/(2g) ((1+g^2)^-1/2 - (1+g)^-1) + ... goes back."""
     depth = 0.01
     result = energy(stack({"thickness_mm": 1.0, "mu_s_per_mm": depth, "g": g}), photons=1_000_000)
@@ -103,7 +103,7 @@ def test_one_scattering_turns_light_as_henyey_and_greenstein_say(jit_backend, g)
 
 @jit
 @pytest.mark.parametrize("n", [1.0, 1.0001, 1.4, 2.5])
-def test_a_clear_plate_reflects_as_fresnel_says(jit_backend, n):
+def test_a_clear_plate_reflects_by_fresnels_equations(jit_backend, n):
     single = ((n - 1) / (n + 1)) ** 2
     assert meets(energy(stack({"n": n}))["reflected"], 2 * single / (1 + single))
 
@@ -136,7 +136,7 @@ def test_a_micrometre_under_a_metre_keeps_its_digits(jit_backend):
 
 
 @jit
-def test_a_photodiode_that_sees_nothing_reads_zero_below_a_limit(jit_backend):
+def test_an_unlit_photodiode_reads_zero_below_a_limit(jit_backend):
     from nailoptics.light import read_rest
 
     blind = {"name": "far", "position_mm": [1e6, 0.0], "size_mm": [1.0, 1.0]}
@@ -298,7 +298,7 @@ def test_meshes_from_coarse_to_a_million_triangles_are_closed(resolution, least)
 
 @jit
 @pytest.mark.slow
-def test_readings_do_not_hang_on_the_fineness_of_the_mesh(jit_backend, monkeypatch):
+def test_readings_do_not_depend_on_the_resolution_of_the_mesh(jit_backend, monkeypatch):
     """A million triangles in place of ten thousand: the same readings within the error, and nothing more lost."""
     from nailoptics.light.walk import finger as finger_walk
 

@@ -160,7 +160,7 @@ def test_points_around_the_finger_are_in_the_air_alone_as_among_others(geometry)
     assert {geometry.regions[i] for i in together[1:]} == {"air"}
 
 
-def test_faces_look_at_the_nail_and_keep_their_areas(geometry):
+def test_faces_point_at_the_nail_and_keep_their_areas(geometry):
     assert [f.name for f in geometry.leds] == ["led0", "led1"]
     assert [f.name for f in geometry.photodiodes] == [f"pd.{i}" for i in range(2, 32, 4)]
     for face, area in [*((f, 0.0625) for f in geometry.leds), *((f, 0.25) for f in geometry.photodiodes)]:
@@ -244,7 +244,7 @@ def test_one_sensor_may_have_leds_on_several_sides(sensor):
     nail_length=st.floats(3, 30), plate=st.floats(0.05, 3), bed=st.floats(0.1, 5), epidermis=st.floats(0.02, 1),
     bone=st.floats(1, 15),
 )  # fmt: skip
-def test_extreme_sizes_build_or_say_why(
+def test_extreme_sizes_build_or_are_refused_with_the_reason(
     sensor, width, thickness, radius, nail_width, nail_length, plate, bed, epidermis, bone
 ):
     finger = (
@@ -282,7 +282,7 @@ def test_a_phantom_has_no_finger_to_build():
 
 
 @pytest.mark.parametrize("resolution", [0, -1.0, float("nan"), 1e3])
-def test_a_wild_resolution_is_refused(sensor, resolution):
+def test_an_extreme_resolution_is_refused(sensor, resolution):
     with pytest.raises(InputError, match="resolution = "):
         build(sensor(), resolution=resolution)
 

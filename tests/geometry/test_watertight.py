@@ -23,7 +23,7 @@ def test_a_million_crossings_agree_on_every_digit(sensor, digit):
     assert report.passed and report.crossings >= 1_000_000
 
 
-def test_a_missing_patch_is_seen(geometry):
+def test_a_missing_patch_is_detected(geometry):
     # 20 of some 36 000 triangles.
     keep = np.ones(len(geometry.triangles), bool)
     keep[5000:5020] = False
@@ -34,14 +34,14 @@ def test_a_missing_patch_is_seen(geometry):
     assert not report.passed and report.disagreements > 5 and report.volume_error > 1e-6
 
 
-def test_a_wrong_label_is_seen(geometry):
+def test_a_wrong_label_is_detected(geometry):
     below = geometry.below.copy()
     below[below == geometry.regions.index("bed")] = geometry.regions.index("pulp")
     report = check_watertight(dataclasses.replace(geometry, below=below), crossings=20_000)
     assert not report.passed and report.disagreements > 100
 
 
-def test_a_bent_surface_is_seen(geometry):
+def test_a_bent_surface_is_detected(geometry):
     vertices = geometry.vertices.copy()
     bent = (np.abs(vertices[:, 1]) < 5) & (np.abs(vertices[:, 0]) < 3) & (np.abs(vertices[:, 2]) < 0.3)
     vertices[bent, 2] += 0.02

@@ -23,7 +23,7 @@ def test_the_rate_of_a_recorded_plethysmogram_is_that_of_another_library():
 
 @pytest.mark.parametrize("rate", [40.0, 70.0, 110.0, 180.0])
 @pytest.mark.parametrize("noise", [0.0, 0.3])
-def test_the_rate_of_a_pulse_is_found_through_noise_and_drift(rate, noise):
+def test_the_rate_of_a_pulse_is_estimated_through_noise_and_drift(rate, noise):
     """Rationale: two beats are as like two beats, and a dicrotic wave is like a beat. Expected: neither is taken."""
     time_s = np.arange(0.0, 30.0, 0.01)
     pulse = cardiac_pressure(time_s, rate_per_min=rate, mean_pressure_pa=0.0, pulse_pressure_pa=1.0)

@@ -58,7 +58,7 @@ def test_a_smooth_curve_has_few_stops_and_a_smooth_slope():
     assert np.abs(slopes - exact).max() < 1e-4 * np.abs(exact).max()
 
 
-def test_a_bump_of_any_width_is_seen_whatever_the_rate_of_samples():
+def test_a_bump_of_any_width_is_resolved_whatever_the_rate_of_samples():
     for rate in (1e3, 1e4):
         time = np.arange(0.0, 4.0, 1 / rate)
         for width in (0.01, 0.1, 0.5):
@@ -90,7 +90,7 @@ def test_a_waveform_jumps_at_double_knots_and_is_held_outside():
     assert np.array_equal(step.at(times, before_jump=True), [5.0, 5.0, 6.0, 7.0, 0.5, 1.0])
 
 
-def test_a_jump_is_a_stop_and_neither_side_sees_the_other():
+def test_a_jump_is_a_stop_and_neither_side_depends_on_the_other():
     step = Waveform(time_s=[0.0, 1.0, 1.0, 4.0], pressure_pa=[0.0, 0.0, 9.0, 9.0])
     ramp = Waveform(time_s=[0.0, 4.0], pressure_pa=[0.0, 4.0])
     drive = Drive([step, ramp], lambda inputs: inputs, begin_s=0.0, end_s=4.0)

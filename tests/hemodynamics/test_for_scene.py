@@ -201,7 +201,7 @@ def test_a_growing_contact_is_followed_between_corners(law):
     assert not blood_over_touch(cycle).proximal_pressure_pa.any()
 
 
-def test_recorded_contact_says_where_the_force_presses(tmp_path):
+def test_recorded_contact_sets_where_the_force_presses(tmp_path):
     rows = "0,0,50,0.5\n1,1,50,1.0\n2,1,100,0.0\n3,1,100,0.0\n"
     (tmp_path / "touch.csv").write_text("time_s,force_n,contact_area_mm2,proximal_share\n" + rows)
     run = blood_over_touch(scene_with('[touch]\nprofile = "recorded"\nfile = "touch.csv"\n', tmp_path))

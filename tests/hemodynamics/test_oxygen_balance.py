@@ -113,7 +113,7 @@ def test_every_led_is_read_with_the_blood_that_absorbs_as_much_to_it() -> None:
     assert np.abs(read.fraction[0] - read.fraction[1]).max() > 0.005
 
 
-def test_a_second_wavelength_parts_a_held_touch_from_an_arterial_rise(tmp_path) -> None:
+def test_a_second_wavelength_distinguishes_a_held_touch_from_an_arterial_rise(tmp_path) -> None:
     """Change of the absorption at 660 nm over that at 940 nm, both of more blood in the proximal half of the bed."""
     rows = "".join(f"{t},{1e4 + 40.0 * min(max(t - 5, 0), 60)}\n" for t in range(0, 101, 5))
     (tmp_path / "rise.csv").write_text("time_s,arterial_pressure_pa\n" + rows)

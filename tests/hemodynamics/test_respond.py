@@ -307,7 +307,7 @@ def test_bad_input_is_one_clear_line(time, inputs, message):
     assert "\n" not in str(caught.value)
 
 
-def test_a_tolerance_out_of_reach_is_said(monkeypatch):
+def test_a_tolerance_out_of_reach_is_reported(monkeypatch):
     from nailoptics.hemodynamics import PAPER_ZONES, massless
     from nailoptics.hemodynamics.drive import Drive
     from nailoptics.hemodynamics.walls import build_walls

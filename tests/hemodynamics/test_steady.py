@@ -57,7 +57,7 @@ def test_many_states_at_once_are_the_states_one_by_one():
         assert alone.vein_diameter_m == pytest.approx(together.vein_diameter_m[i], rel=1e-11)
 
 
-def test_listed_set_gives_the_known_rise_and_closing_pressure():
+def test_listed_set_gives_the_analytic_rise_and_closing_pressure():
     # With the listed values eq. (1)-(4) give a rise of D_C1^2 by 7.7 %, and a vein that closes at
     # P_H + k_V D_V/A_V = 1.1 N/cm^2.
     p = parameters("listed")

@@ -44,7 +44,7 @@ def test_a_response_that_follows_the_cosine_reads_the_bits_of_none(jit_backend):
 @pytest.mark.parametrize(
     "power", [pytest.param(1.0, marks=pytest.mark.slow), 3.5, pytest.param(20.0, marks=pytest.mark.long)]
 )
-def test_a_face_under_even_radiance_collects_what_theory_says(jit_backend, power):
+def test_a_face_under_even_radiance_collects_the_theoretical_flux(jit_backend, power):
     """Of even radiance a response cos^m takes int cos^m dw / int cos dw = 2 / (m + 1) of what a flat face does."""
     import mitsuba as mi
 
@@ -167,7 +167,7 @@ def test_light_is_weighed_by_the_photodiode_at_its_end(jit_backend):
     assert left.weight.sum() != flat[3].weight.sum()
 
 
-def test_what_cannot_weigh_angles_says_so():
+def test_what_cannot_weigh_angles_is_refused():
     scene = with_response(None, FLAT)
     with pytest.raises(InputError, match='"proximal" and "distal" differ in angular_response'):
         BoardTracer(scene).arrivals(0, photons=1, seed=0)

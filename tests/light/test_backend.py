@@ -144,7 +144,7 @@ def test_newest_library_first_and_each_file_once(fresh, tmp_path):
     assert [Path(path).name for path in result] == [*newest, "libLLVM.dylib"]
 
 
-def test_findings_name_one_backend_as_taken(fresh, monkeypatch):
+def test_findings_name_one_backend_as_selected(fresh, monkeypatch):
     monkeypatch.setattr(backend, "_llvm_libraries", lambda: ["a", "b", "c"])
     monkeypatch.setattr(backend, "_cuda_libraries", lambda: [])
     answers = {"a": ((), "broken", True)}
@@ -163,7 +163,7 @@ def test_findings_name_one_backend_as_taken(fresh, monkeypatch):
 
 
 @pytest.mark.parametrize("libraries", [["b"], []])
-def test_an_apple_gpu_is_chosen_where_there_is_no_libllvm_and_said_to_be_untried(fresh, monkeypatch, libraries):
+def test_an_apple_gpu_is_chosen_where_there_is_no_libllvm_and_reported_as_untested(fresh, monkeypatch, libraries):
     """Rationale: no Apple GPU was at hand; that one computes is for the probe to say, whose answer is put in here."""
     monkeypatch.setattr(backend, "_llvm_libraries", lambda: libraries)
     monkeypatch.setattr(backend, "_cuda_libraries", lambda: [])

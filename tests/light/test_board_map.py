@@ -122,7 +122,7 @@ def test_the_derivative_by_blood_is_that_of_the_reading(scene, blood):
 
 
 @pytest.mark.long
-def test_without_a_wall_light_crosses_that_never_saw_the_bed(scene, arrivals, chosen_jit):
+def test_without_a_wall_shunted_light_reaches_the_photodiode(scene, arrivals, chosen_jit):
     areas = list(scene.layout.photodiode_areas)
     point = blood_point(scene, 0)
     behind, _ = together(arrivals, point, areas)

@@ -65,7 +65,7 @@ def random_states(count: int, *, low: float = 0.0, high: float = 0.1, seed: int 
 
 
 @pytest.mark.parametrize("high", [0.031, 0.06, pytest.param(0.2, marks=pytest.mark.long)])
-def test_between_its_nodes_a_course_is_what_each_state_reads_on_its_own(high):
+def test_between_nodes_interpolated_readings_are_those_of_each_state_alone(high):
     """Expected: fraction, change and their errors at random states as evaluated one by one, to far less than the
     standard error; the states are so many that they are interpolated, and read directly they are few."""
     transfer = made_up()
@@ -167,7 +167,7 @@ def test_ten_thousand_states_take_little_longer_than_a_hundred():
     assert took[10_000] < 5 and took[10_000] < 4 * took[100] + 1
 
 
-def test_a_course_into_states_too_far_away_warns():
+def test_reweighting_to_states_too_far_away_warns():
     """Even where only one state of many is, and only between nodes; nearer ones say nothing (warnings are errors)."""
     trace = made_up(600)
     readings_over_states(trace, random_states(50, high=0.1))
@@ -187,7 +187,7 @@ def test_states_of_the_wrong_shape_are_refused_in_one_line():
             readings_over_states(made_up(10), np.full((3, 2), value))
 
 
-def test_a_trace_that_saw_nothing_reads_zero():
+def test_a_trace_without_detected_light_reads_zero():
     seen = readings_over_states(made_up(0), random_states(500))
     assert seen.fraction.shape == (1, 2, 500) and not seen.fraction.any() and not seen.stderr.any()
 
@@ -215,7 +215,7 @@ def test_reading_another_state_is_tracing_it_afresh(jit_backend, traced, blood, 
 
 @pytest.mark.slow
 @pytest.mark.jit
-def test_a_real_trace_is_interpolated_as_well_as_a_made_up_one(traced):
+def test_a_real_trace_is_interpolated_as_well_as_a_synthetic_one(traced):
     states = random_states(1000, low=0.005, high=0.08)
     smooth = readings_over_states(traced, states)
     for k in (3, 400, 999):

@@ -87,7 +87,7 @@ def test_an_unlit_photodiode_has_an_unknown_error():
 
 
 @pytest.mark.parametrize(("photons", "known"), [(24, False), (26, True)])
-def test_of_fewer_than_25_photons_no_standard_error_is_known(photons, known):
+def test_fewer_than_25_photons_have_no_standard_error(photons, known):
     scene = finger()
     path = np.ones((photons, len(optics.absorbers(scene))), np.float32)
     trace = LedTrace(
@@ -142,7 +142,7 @@ def test_seconds_count_from_the_scene_on(jit_backend):
 
 
 @pytest.mark.jit
-def test_volpath_refuses_more_zones_than_it_can_tell_apart_in_one_line(chosen_jit):
+def test_volpath_refuses_more_zones_than_it_can_distinguish_in_one_line(chosen_jit):
     text = (data_dir("scenes") / "white_band.toml").read_text(encoding="utf-8")
     scene = parse_scene(text.replace("[light]", '[light]\nengine = "volpath"'), folder=data_dir("scenes"))
     with pytest.raises(InputError, match='enough for two zones, and the scene has 8; take light.engine = "photons"'):

@@ -74,7 +74,7 @@ def test_photons_and_volpath_read_the_same_on_a_photodiode_of_the_finger(jit_bac
 
 @pytest.mark.slow
 @pytest.mark.jit
-def test_stock_mitsuba_sees_a_tenth_more_absorption_on_the_prototype(jit_backend):
+def test_stock_mitsuba_detects_a_tenth_more_absorption_on_the_prototype(jit_backend):
     """Expected: all eight readings of the LED's whole line within 3.5 combined standard errors, of which one beyond is
     a chance of 1 in 270, and their mean ratio within 3; with a tenth more absorption that is beyond 3.
 

@@ -278,7 +278,7 @@ def test_arc_share_of_corner_cases_is_exact():
     ],
     ids=["square around the beam", "square over the die", "square beside the die"],
 )
-def test_a_square_sees_what_counting_exits_in_it_gives(jit_backend, led, center):
+def test_a_square_detects_what_counting_exits_in_it_gives(jit_backend, led, center):
     """Rationale: readings average over azimuth, which takes a symmetry for granted; counting takes nothing.
     Expected: equal within errors, of the same photons."""
     square = SQUARE | {"position_mm": list(center)}
@@ -293,7 +293,7 @@ def test_a_square_sees_what_counting_exits_in_it_gives(jit_backend, led, center)
     assert abs(batch.weight.sum() / photons - counted.mean()) < 3.5 * stderr < 0.05 * counted.mean()
 
 
-def test_each_layer_takes_what_lambert_says(jit_backend):
+def test_each_layer_absorbs_by_lamberts_law(jit_backend):
     """Light that nothing scatters loses 1 - exp(-mu_a d) of itself in each layer; the parts make up all of it."""
     first, second = layer(thickness=2.0, mu_a=0.4, mu_s=0.0), layer(thickness=3.0, mu_a=0.2, mu_s=0.0)
     result = nail.trace(stack(first, second, photodiodes=[SQUARE]), photons=1 << 18, seed=3)
@@ -306,7 +306,7 @@ def test_each_layer_takes_what_lambert_says(jit_backend):
     assert abs(result.energy()["lost"]["value"]) < 1e-12
 
 
-def test_photodiodes_at_one_distance_share_their_error_and_say_so(jit_backend):
+def test_photodiodes_at_one_distance_report_that_they_share_their_error(jit_backend):
     beside = SQUARE | {"name": "beside", "position_mm": [0.0, 2.0]}
     slab = layer(thickness=10.0, mu_a=0.05, mu_s=10.0, g=0.9)
     seen = reading(stack(slab, photodiodes=[SQUARE, beside]), photons=1 << 16)
@@ -349,7 +349,7 @@ def test_photons_of_a_batch_and_batches_of_a_seed_are_independent(jit_backend):
 
 
 @pytest.mark.slow
-def test_standard_errors_are_honest(jit_backend):
+def test_standard_errors_are_calibrated(jit_backend):
     """Rationale: a tolerance is worth what the standard error is worth; a heavy tail would make it lie.
     Expected: z-scores of 200 small runs against the reading of many photons are standard normal."""
     scene = stack(layer(thickness=10.0, mu_a=0.05, mu_s=10.0, g=0.9), photodiodes=[SQUARE])

@@ -58,7 +58,7 @@ def test_the_error_that_stops_a_trace_is_the_one_that_is_read(jit_backend, monke
 
 
 @pytest.mark.jit
-def test_a_trace_out_of_time_tells_the_error_that_is_read(jit_backend, monkeypatch):
+def test_a_trace_out_of_time_reports_the_error_of_the_reading(jit_backend, monkeypatch):
     monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 12)
     reports = []
     with pytest.raises(NotReachedError, match="max_seconds") as caught:

@@ -27,7 +27,7 @@ def prototype():
     return load_scene(data_dir("scenes") / "prototype.toml")
 
 
-def test_cells_know_how_far_the_nearest_photodiode_is_and_how_high(prototype):
+def test_cells_hold_the_distance_and_height_of_the_nearest_photodiode(prototype):
     finger = geometry.build(prototype)
     away, height, low = near_photodiodes(finger)
     corners = [np.asarray(face.quads).reshape(-1, 3) for face in finger.photodiodes]
@@ -104,7 +104,7 @@ def test_a_photon_has_the_weight_of_its_copies_and_the_path_of_one_drawn_by_weig
 
 @pytest.mark.long
 @pytest.mark.jit
-def test_split_photons_read_as_plain_ones_with_true_errors(jit_backend, prototype):
+def test_split_photons_read_as_plain_ones_with_calibrated_errors(jit_backend, prototype):
     """Seven levels on the way and one at the photodiodes. Light, and light times its path in the bed, in 16 values of
     which 45 is one in 1e4; errors beside the spread of 32 batches, in 8 values that share photons."""
     from nailoptics.light.walk.finger import FingerTracer

@@ -51,7 +51,7 @@ def test_stopping_biases_by_a_small_part_of_the_standard_error(spread, bias):
     assert 0.93 < np.mean(np.abs(off) < Z95 * error) < 0.97
 
 
-def test_the_photodiode_that_is_known_worst_decides():
+def test_the_photodiode_of_largest_error_decides():
     """Of 10 000 photons 6400 reach one photodiode and 900 the other: relative errors of 0.0075 and 0.0318."""
     scene = parse_scene(phantom({"g": 0.5}, photodiodes=[{}, {"name": "far", "position_mm": [5.0, 0.0]}]))
     where = np.repeat(np.array([0, 1], np.uint16), [6400, 900])
@@ -75,7 +75,7 @@ def test_two_rounds_at_a_tolerance_bias_nothing():
     assert np.std(means) < 1.1 * criterion.target
 
 
-def test_a_criterion_asks_for_what_its_tolerance_takes():
+def test_a_criterion_requests_the_photons_that_its_tolerance_takes():
     criterion = StoppingCriterion(target=0.01, first=100, least=50, margin=1.1, growth=16)
     assert criterion.needed(0, math.inf) == 100
     assert criterion.needed(100, 0.02) == pytest.approx(100 * (1.1 * 4 - 1), abs=1)

@@ -108,7 +108,7 @@ def test_without_a_store_nothing_is_written(jit_backend, store):
 
 
 @pytest.mark.jit
-def test_damaged_and_foreign_files_are_named_and_traced_again(small_batches, store, caplog):
+def test_damaged_and_misplaced_files_are_named_and_traced_again(small_batches, store, caplog):
     fresh = nail.trace(slab(), photons=PHOTONS, seed=3)
     other = nail.trace(slab(), photons=PHOTONS, seed=4)
     kept = {path.parent for path in store.glob("*/*.dat")}
@@ -158,7 +158,7 @@ def rewritten(path: Path, change) -> None:
 
 
 @pytest.mark.jit
-def test_wrong_content_with_right_checksums_is_traced_again(small_batches, store, caplog):
+def test_wrong_content_with_valid_checksums_is_traced_again(small_batches, store, caplog):
     fresh = nail.trace(slab(), photons=PHOTONS, seed=3)
     files = sorted(store.glob("*/*.dat"))
     for k, (what, change) in enumerate(WRONG_CONTENT.items()):
@@ -224,7 +224,7 @@ def test_walks_that_go_otherwise_have_lights_of_their_own(tmp_path):
     assert folders[2] == folders[0] and len({*folders}) == 4
 
 
-def test_what_was_not_used_for_longest_goes_first_and_foreign_files_stay(tmp_path):
+def test_the_least_recently_used_light_is_removed_first_and_other_files_stay(tmp_path):
     store = LightStore(tmp_path)
     (tmp_path / "notes.txt").write_text("mine")
     entries = [store.entry({"light": i}) for i in range(5)]
@@ -239,14 +239,14 @@ def test_what_was_not_used_for_longest_goes_first_and_foreign_files_stay(tmp_pat
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
 
-def test_no_command_pushes_its_own_light_out(tmp_path):
+def test_no_command_evicts_its_own_light(tmp_path):
     light = LightStore(tmp_path, most_bytes=20_000, optional=True).entry({"light": 1})
     for number in range(100):
         light.write(f"{number}-1", {}, {"x": np.zeros(100)})
     assert light.path("0-1").exists() and light.path("5-1").exists() and not light.path("99-1").exists()
 
 
-def test_a_store_that_cannot_be_written_stops_no_trace_and_says_so_once(tmp_path, caplog):
+def test_a_store_that_cannot_be_written_stops_no_trace_and_is_warned_of_once(tmp_path, caplog):
     (tmp_path / "store").write_text("a file")
     light = LightStore(tmp_path / "store", optional=True).entry({"light": 1})
     for _ in range(3):
@@ -323,7 +323,7 @@ def test_the_store_from_the_command_line(jit_backend, store, tmp_path, capsys):
     assert run(["store", "--clear"]) == 0 and not list(store.iterdir())
 
 
-def test_a_store_that_is_off_says_so(capsys):
+def test_a_store_that_is_off_is_reported(capsys):
     from nailoptics.cli import run
 
     assert run(["store"]) == 2 and "NAILOPTICS_STORE" in capsys.readouterr().err
@@ -342,7 +342,7 @@ def test_a_store_that_is_a_file_is_refused_in_one_line(tmp_path, monkeypatch, ca
     assert (tmp_path / "file").read_text() == "mine"
 
 
-def test_stored_light_is_of_a_program_known_by_its_optics(monkeypatch):
+def test_stored_light_is_identified_by_the_programs_optics(monkeypatch):
     """Rationale: light of other optics must not be taken for today's. Expected: what the walks import is in the
     program's digest but for what checks, reads, writes, and vessels beside the blood; so are tissue's constants."""
     read, read_bytes = set(), Path.read_bytes

@@ -46,7 +46,7 @@ def test_the_tolerance_is_met_and_not_far_overdone(jit_backend, monkeypatch, tar
 
 
 @pytest.mark.slow
-def test_stopping_at_a_tolerance_hardly_favours_luck(jit_backend, monkeypatch):
+def test_stopping_at_a_tolerance_hardly_biases_readings(jit_backend, monkeypatch):
     """Rationale: a rule that stops when the estimated error is small enough prefers runs that err low.
     Expected: 100 traces to a coarse tolerance agree on average with one of many photons."""
     monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 11)
@@ -97,14 +97,14 @@ def test_a_tolerance_out_of_reach_saves_what_was_reached(jit_backend, monkeypatc
     assert error_of(error.result) < 0.2
 
 
-def test_photons_out_of_reach_say_how_many_there_were(jit_backend, monkeypatch):
+def test_photons_out_of_reach_end_with_those_that_were_traced(jit_backend, monkeypatch):
     monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 14)
     with pytest.raises(NotReachedError, match="photons") as caught:
         nail.trace(slab(), photons=10**10, max_seconds=0.2)
     assert 0 < caught.value.result.photons < 10**10
 
 
-def test_a_photodiode_that_sees_nothing_does_not_pass_for_exact(jit_backend, monkeypatch):
+def test_an_unlit_photodiode_does_not_pass_for_exact(jit_backend, monkeypatch):
     monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 12)
     with pytest.raises(NotReachedError, match="relative error inf"):
         nail.trace(slab(square=500.0), relative_error=0.5, max_seconds=0.3)
@@ -214,7 +214,7 @@ def test_seeds_of_leds_and_batches_are_all_different():
 
 
 @pytest.mark.jit
-def test_a_photodiode_that_no_light_reaches_ends_the_trace_with_a_word(chosen_jit, monkeypatch):
+def test_an_unlit_photodiode_ends_the_trace_with_a_message(chosen_jit, monkeypatch):
     monkeypatch.setattr(stopping, "UNLIT_PHOTONS", 1_000_000)
     layer = {"thickness_mm": 1.0, "mu_a_per_mm": 5.0, "mu_s_per_mm": 1.0}
     scene = parse_scene(phantom(layer, photodiodes=[{"name": "far", "position_mm": [500.0, 0.0]}]))

@@ -199,7 +199,7 @@ def test_a_stored_transfer_reads_as_before(traced, tmp_path):
 
 
 @pytest.mark.jit
-def test_a_transfer_that_saw_nothing_is_stored_too(jit_backend, tmp_path):
+def test_a_transfer_without_detected_light_is_stored_too(jit_backend, tmp_path):
     nothing = nail.trace(two_layers(photodiodes=0), photons=1 << 10, seed=1)
     nothing.save(tmp_path / "nothing.nc")
     again = Transfer.load(tmp_path / "nothing.nc")
@@ -260,7 +260,7 @@ def test_blood_of_another_shape_is_refused_in_one_line(finger, blood, so2):
     assert len(str(caught.value).splitlines()) == 1
 
 
-def test_no_standard_error_is_given_of_what_few_photons_tell():
+def test_no_standard_error_is_given_for_few_photons():
     """0 +- 0 passes for exact: of a dark photodiode, of an absorber that few photons visit, of light that was lost."""
     rng, photons = np.random.default_rng(0), 100_000
     path = rng.exponential(3.0, (400, 2))

@@ -184,7 +184,7 @@ def test_same_seed_same_bits_and_the_variant_is_given_back(engine):
     assert mi.variant() == "scalar_rgb"
 
 
-def test_what_stock_mitsuba_cannot_do_is_said():
+def test_what_stock_mitsuba_cannot_do_is_refused():
     scene = slab(
         mu_a=0.1,
         mu_s=1,

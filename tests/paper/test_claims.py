@@ -110,7 +110,7 @@ def test_linear_walls_without_feedback_cannot_begin_as_steeply_as_v_p2():
     assert straight.any() and 1.40 < slope.measure(made)[straight].max() < 1.45 < slope.low
 
 
-def test_the_guide_tells_how_many_rules_best_meets(evaluated):
+def test_the_guide_states_how_many_rules_best_meets(evaluated):
     text = (Path(__file__).parents[2] / "docs" / "model.md").read_text(encoding="utf-8")
     section = text[text.index("| figure, touch | rules `best` meets |") :]
     rows = [line.split("|")[1:3] for line in section.splitlines()[2:9]]
@@ -155,7 +155,7 @@ def test_every_rule_stands_for_a_sentence_and_has_a_bound():
     assert len({(rule.figure, rule.sentence, rule.text) for rule in RULES}) == len(RULES)
 
 
-def test_each_touch_presses_where_its_figure_says():
+def test_each_touch_presses_on_the_side_of_its_figure():
     assert not steps(distal_part=0.0).touch_pa[1].any() and np.array_equal(*vars_of(steps(distal_part=1.0)))
     for touch in (cycle(), press()):
         assert not touch.touch_pa[1][0].any() and not touch.touch_pa[0][1].any()
@@ -181,7 +181,7 @@ def test_distal_pulp_recovers_with_its_relaxation_time():
     assert np.allclose(left / left[0], np.exp(-(time[after] - 1.0) / RELAXATION_S), rtol=1e-12)
 
 
-def test_overshoots_and_late_changes_are_what_they_are_on_made_up_curves(responses):
+def test_overshoots_and_late_changes_are_exact_on_synthetic_curves(responses):
     path = np.zeros((10, 81))
     path[:, 1:] = np.linspace(0.1, 1.0, 10)[:, None]
     back = path.max() - path

@@ -37,7 +37,7 @@ def test_beer_lambert_constants_come_back_up_to_strong_absorption(alpha_d2):
     assert fit.residual_rms_v < 1e-10 and fit.note == ""
 
 
-def test_a_closing_capillary_is_fitted_down_to_no_diameter():
+def test_a_closing_capillary_is_fitted_down_to_zero_diameter():
     diameter_m = np.linspace(0, 1e-5, 400)
     fit = fit_beer_lambert(diameter_m, readings(0.3, diameter_m))
     assert fit.constants["alpha_per_m2"] == pytest.approx(0.3e10, rel=1e-6)
@@ -81,7 +81,7 @@ def test_jackknifed_errors_are_those_of_repeated_readings(fit, truth, shared):
     assert np.abs(np.mean(pulls, axis=0)).max() < 4 / np.sqrt(400)
 
 
-def test_noise_that_hides_the_bend_is_reported_and_spoils_no_prediction():
+def test_noise_that_hides_the_curvature_is_reported_and_degrades_no_prediction():
     """Rationale: alpha is a five hundredth of its standard error. Expected: in 40 draws of the noise it is left out
     wherever it is below its error, 90 % of them, and nowhere else; predictions miss by no more than three constants do,
     three variances in the sum over all readings."""
@@ -97,7 +97,7 @@ def test_noise_that_hides_the_bend_is_reported_and_spoils_no_prediction():
     assert np.mean(missed) < 3 + 4 * np.sqrt(2 * 3 / 40)
 
 
-def test_constants_of_a_curve_whose_bend_is_not_known_are_left_out_of_the_result():
+def test_constants_of_a_curve_of_unresolved_curvature_are_left_out_of_the_result():
     """Expected: NaN and a note; Taylor (9) and the curve itself stay."""
     data = {
         "volts": (("led", "photodiode", "time"), (1.0 + 1e7 * DIAMETER_M**2)[None, None]),
@@ -122,7 +122,7 @@ def test_scale_does_not_matter():
     "diameter_m, volts",
     [([1e-5], [0.1]), ([1e-5] * 4, [0.1, 0.1, 0.2, 0.2]), ([0.0] * 3, [0.1, 0.2, 0.3])],
 )
-def test_diameters_that_do_not_vary_give_the_mean_and_say_so(fit, diameter_m, volts):
+def test_constant_diameters_give_the_mean_and_report_it(fit, diameter_m, volts):
     got = fit(diameter_m, volts)
     assert got.predict(diameter_m) == pytest.approx(np.mean(volts))
     assert "do not vary" in got.note
@@ -135,7 +135,7 @@ def test_readings_that_do_not_change_have_no_slope():
     assert fit.predict(5e-6) == pytest.approx(0.3) and "do not change" in fit.note
 
 
-def test_two_states_make_a_straight_line_of_unknown_bend():
+def test_two_states_make_a_straight_line_of_unresolved_curvature():
     fit = fit_beer_lambert([1e-5, 1.1e-5, 1e-5], [0.20, 0.18, 0.20])
     assert fit.predict([1e-5, 1.1e-5]) == pytest.approx([0.20, 0.18])
     assert "two different diameters" in fit.note

@@ -61,7 +61,7 @@ def test_a_file_is_read_once(make, undrawn, tmp_path):
     assert result.nail.summary() == summary and result.nail.report() and result.nail.plot()
 
 
-def test_what_a_result_does_not_hold_is_said(make):
+def test_what_a_result_lacks_is_reported(make):
     result = make(section=False).assign_attrs(TITLE)
     with pytest.raises(nail.InputError, match='figure = "spectrum" is unknown; choose from readings, touch'):
         result.nail.plot("spectrum")

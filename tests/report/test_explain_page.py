@@ -55,7 +55,7 @@ def test_an_undecided_effect_is_no_headline_beside_a_significant_one(result, tmp
         assert f"<h1>{name} changes" in page.read_text(encoding="utf-8")
 
 
-def test_the_picture_names_every_effect_that_is_known(result):
+def test_the_picture_names_every_estimated_effect(result):
     axes = explain.draw(result).axes[0]
     names = [text.get_text() for text in axes.get_yticklabels()]
     assert names == [one.name for one in result.effects if np.isfinite(one.change)]
@@ -63,7 +63,7 @@ def test_the_picture_names_every_effect_that_is_known(result):
     assert np.allclose(sorted(dots), [0.4, 3, 20, 50, 62])
 
 
-def test_what_ended_too_early_says_so_first(result, tmp_path):
+def test_an_incomplete_result_reports_it_first(result, tmp_path):
     cut = replace(result, attributes={"cut_off": "max_seconds ended the study"}, effects=(), together=None)
     paths = EXPLANATION.write(cut, tmp_path)
     assert paths["scene"].read_text(encoding="utf-8").startswith("# Cut off: max_seconds ended the study\n")

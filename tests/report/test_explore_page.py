@@ -328,7 +328,7 @@ def test_people_read_the_shown_layout_with_blood_touch_and_waves_of_their_own(sh
     assert len({row["rows"][0]["volts"] for row in people}) == 3
 
 
-def test_a_converter_at_its_limit_is_shown_for_whom_it_is(shown: Any):
+def test_saturated_readings_are_counted_for_each_person(shown: Any):
     """The second person's light is made so bright that no reading is below the limit."""
     shown.evaluate(
         """() => { for (const pair of caches.values()) pair.people[1] = pair.people[1].map((x) => 1e6 * x); draw(); }"""
@@ -734,7 +734,7 @@ def test_the_link_holds_the_layout(shown: Any, browser: Any):
     again.close()
 
 
-def test_an_exported_scene_opens_again_and_a_strange_one_says_why_not(shown: Any, tmp_path: Path):
+def test_an_exported_scene_opens_again_and_an_unsupported_one_is_refused_with_the_reason(shown: Any, tmp_path: Path):
     path = saved(shown, "#save-scene", tmp_path)
     layout = shown.evaluate("workbench.layout")
     shown.click("#add-led")
@@ -768,7 +768,7 @@ def test_every_gain_is_shown_and_whether_it_follows_the_ambient_light(shown: Any
     assert ("fitted to the LEDs and to the ambient light" in shown.inner_text("#gain-words")) != fixed
 
 
-def test_why_no_force_is_resolved_is_said(shown: Any):
+def test_the_reason_why_no_force_is_resolved_is_reported(shown: Any):
     """Expected: saturation, or vessels that no more force closes; nothing where force is resolved."""
     card = shown.locator("#cards li").first
     shown.evaluate("change((layout) => { layout.force = 0.5; })")
@@ -801,13 +801,13 @@ def test_names_of_leds_side_by_side_do_not_overlap(shown: Any):
     assert a[2] <= b[0] or b[2] <= a[0] or a[3] <= b[1] or b[3] <= a[1]
 
 
-def test_what_cannot_be_built_is_said_and_not_saved(shown: Any):
+def test_what_cannot_be_built_is_reported_and_not_saved(shown: Any):
     shown.evaluate("change((layout) => { layout.leds[0].u = 50; })")
     assert "edge" in shown.inner_text("#problem")
     assert shown.is_disabled("#save-scene")
 
 
-def test_where_hardly_any_photons_came_the_page_says_so(shown: Any):
+def test_the_page_warns_where_hardly_any_photons_arrived(shown: Any):
     shown.evaluate("colours[0].blocks = colours[0].blocks.map((x, i) => x * (i % tables.blocks ? 0 : 9))")
     shown.evaluate("caches.clear(); draw()")
     assert "too few photons" in shown.inner_text("#readings").lower()

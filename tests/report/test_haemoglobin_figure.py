@@ -4,7 +4,7 @@ from nailoptics.report import style
 from nailoptics.report.pages.paper import CROSSES_BETWEEN_NM, crossing_nm, draw_haemoglobins
 
 
-def test_both_haemoglobins_cross_where_the_table_says():
+def test_both_haemoglobins_cross_where_the_table_has_them_equal():
     """796.8 nm in the table of S. Prahl, as its header's source has it."""
     assert abs(crossing_nm() - 796.8) < 0.1
     assert CROSSES_BETWEEN_NM[0] - 0.5 < crossing_nm() < CROSSES_BETWEEN_NM[1]

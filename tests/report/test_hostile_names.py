@@ -29,7 +29,7 @@ def test_every_slot_of_a_page_shows_a_name_as_text(name):
     assert_text_alone(html.section(name, name, html.small(name), html.subheading(name)), name)
 
 
-def test_what_nobody_sees_is_written_out_on_a_page():
+def test_invisible_characters_are_escaped_on_a_page():
     """A name that clears a terminal, one that turns the writing round, and the byte of a file's name that is not text;
     an unbreakable space and a line break stay."""
     name = "a\x1b[2J\u202eb\udcffc\u00a0d\ne"

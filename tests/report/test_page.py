@@ -170,7 +170,7 @@ def test_readings_that_are_nothing_at_all(make):
     assert "paths" not in parsed.tables and len(parsed.tables["readings"]) == 9
 
 
-def test_saturation_is_said_at_the_top(undrawn, make):
+def test_saturation_is_reported_at_the_top(undrawn, make):
     result = make(section=False)
     result.saturated[0, 2, 5] = True
     text = page(result)
@@ -207,7 +207,7 @@ def test_a_fit_that_is_straight_is_shown_as_straight(undrawn, make):
     assert not any("79000" in text or "?" in text for text in texts[1:4])
 
 
-def test_a_fit_whose_bend_is_not_known_is_left_blank_and_its_note_names_the_led(undrawn, make):
+def test_a_fit_of_unresolved_curvature_is_left_blank_and_its_note_names_the_led(undrawn, make):
     result = make(leds=2, section=False)
     result["fit_note"] = result.fit_note.astype("U80")
     name = str(result.photodiode.values[3])
@@ -232,13 +232,13 @@ def test_photodiodes_have_the_colour_of_their_place_whatever_their_order():
     assert colours == style.place_colours(8) and others == colours[4:] + colours[:4]
 
 
-def test_a_result_that_was_cut_off_says_so_in_its_first_lines(undrawn, make):
+def test_a_truncated_result_reports_it_in_its_first_lines(undrawn, make):
     assert "Cut off" not in page(make(section=False))
     text = page(make(section=False).assign_attrs(cut_off="7 % instead of 1 % after 3 s."))
     assert text.index("Cut off: 7 % instead of 1 % after 3 s.") < text.index("<h2>")
 
 
-def test_signs_are_judged_by_where_a_zone_lies_whatever_its_name(undrawn, make):
+def test_signs_are_evaluated_by_the_place_of_a_zone_whatever_its_name(undrawn, make):
     result = make(section=False).assign_coords(zone=["zone_1", "zone_2"])
     result["white_band_mm"] = ("time", np.where(result.force_n > 0, 2.34, 0.0))
     text = page(result)
@@ -314,7 +314,7 @@ def test_the_board_fits_a_telephone_and_its_names_do_not_touch():
     assert len(names) == 7 and max(line.zorder for line in names) < min(p.zorder for p in axes.patches[-7:])
 
 
-def test_where_the_light_ends_is_shown_where_it_is_known(undrawn, make):
+def test_the_energy_budget_is_shown_where_it_is_available(undrawn, make):
     result = make(leds=2, section=False)
     assert "Where the light of each LED ends" not in page(result)
     energy, absorbed = {"reflected": 0.1, "transmitted": 0.02, "absorbed": 0.88, "lost": 0.0}, [0.5, 0.3799, 0.00009]
@@ -333,7 +333,7 @@ def test_where_the_light_ends_is_shown_where_it_is_known(undrawn, make):
     assert len(rows) == 4
 
 
-def test_a_result_whose_scene_cannot_be_read_says_so(undrawn, make):
+def test_a_result_whose_scene_cannot_be_read_reports_it(undrawn, make):
     with pytest.raises(InputError, match="the result's scene"):
         page(make(section=False).assign_attrs(scene="not [a scene"))
 

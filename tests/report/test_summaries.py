@@ -54,7 +54,7 @@ def with_priors(result, offset):
     return result.assign(data).assign_coords(prior=["plate absorption"])
 
 
-def test_the_spread_states_the_signs_that_hold_and_what_is_not_in_it(make):
+def test_the_prior_uncertainty_states_the_signs_that_hold_and_what_it_omits(make):
     """Expected: of eight readings, of which the first is saturated, the signs that hold are counted; the shift of a
     scene that is not at its priors' mean is reported."""
     result = make(section=False)
@@ -93,7 +93,7 @@ def test_a_prior_with_a_hostile_name_is_text(make, name, field):
     assert_text_alone(spread_section(result), name)
 
 
-def test_a_saturated_reading_has_no_spread(make):
+def test_a_saturated_reading_has_no_prior_uncertainty(make):
     result = with_priors(make(section=False), 0.0)
     assert "10-80 %" in spread_summary(result)["conclusions"][0]
     result.saturated[0, 7, 5] = True

@@ -86,7 +86,7 @@ def test_the_scenes_that_the_bad_ones_are_made_from_are_good():
     ],
     ids=["finger", "led", "scene", "nothing alike", "line break"],
 )
-def test_an_unknown_field_is_named_with_what_it_may_mean(text, words):
+def test_an_unknown_field_is_named_with_a_suggestion(text, words):
     line = complaint(text)
     assert all(word in line for word in words), line
 
@@ -154,7 +154,7 @@ def test_a_value_of_the_wrong_kind_names_its_field(text, field):
     ],
     ids=["percent", "a unit", "a text", "no version", "single brackets"],
 )
-def test_a_usual_slip_is_named_with_its_cure(text, words):
+def test_a_common_mistake_is_named_with_its_correction(text, words):
     assert complaint(text).endswith(words)
 
 
@@ -199,7 +199,7 @@ def test_a_board_wider_or_longer_than_the_nail_is_refused():
     assert "reaches over the edge of the board" in complaint(FINGER + "[board]\nsize_mm = [2.0, 6.0]")
 
 
-def test_a_barrier_without_room_is_refused_with_the_way_out():
+def test_a_barrier_without_room_is_refused_with_advice():
     line = complaint(FINGER.replace("-1.2", "-0.7"))
     assert line.startswith("bad.toml: board.barrier: LED ") and "barrier = false" in line
 

@@ -257,7 +257,7 @@ def test_a_part_over_a_hole_in_the_board_is_refused(tmp_path, hole, lies_on):
         load_scene(path)
 
 
-def test_position_files_serve_as_boards(tmp_path, caplog):
+def test_position_files_are_accepted_as_boards(tmp_path, caplog):
     text = "Designator,Mid X,Mid Y,Layer,Rotation\nD1,-3mm,1mm,Bottom,90\nPD1,1mm,-1mm,Bottom,30\nC1,9,9,Top,0\n"
     board, path = load_scene(write(tmp_path)), write_positions(tmp_path, text)
     scene = load_scene(path)

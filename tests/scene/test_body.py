@@ -29,7 +29,7 @@ def test_drift_and_motion_are_the_sensors_and_leave_the_pressure_alone(tmp_path)
     assert both.body.moves and both.body.drift is not None
 
 
-def test_the_mean_pressure_is_said_once():
+def test_the_mean_pressure_is_stated_once():
     twice = "[blood.tuning]\nfactors = { arterial_pressure_pa = 1.1 }\n[body.heartbeat]\nmean_pressure_pa = 1.2e4\n"
     with pytest.raises(InputError, match="both set P_H; give one of them"):
         parse_scene(SMALL_FINGER + twice)

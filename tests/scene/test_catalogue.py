@@ -73,7 +73,7 @@ def test_a_part_that_breaks_a_rule_is_refused_in_one_line(tmp_path, text, words)
     assert "mine.toml" in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_an_unknown_part_names_the_known_ones():
+def test_an_unknown_part_is_refused_with_the_available_ones():
     with pytest.raises(InputError, match="choose one of .*bpw34, .*led_660, led_800, led_940, .*pd_array_4x1"):
         load_part("led_850")
     with pytest.raises(InputError, match='"led_80" is unknown; did you mean "led_800"\\? Else choose one of'):
@@ -84,7 +84,7 @@ def test_an_unknown_part_names_the_known_ones():
         load_part("led_800", expect=PhotodiodePart)
 
 
-def test_a_users_own_parts_are_among_the_known_ones(tmp_path):
+def test_a_users_own_parts_are_among_the_available_ones(tmp_path):
     (tmp_path / "parts").mkdir()
     (tmp_path / "parts" / "my_green.toml").write_text(LED)
     (tmp_path / "ring.toml").write_text('[ambient]\nkind = "lamp"\n')
@@ -111,7 +111,7 @@ def test_parts_of_the_old_kind_and_scenes_with_the_old_key_are_read(tmp_path):
     )
 
 
-def test_real_parts_have_what_their_data_sheets_say():
+def test_real_parts_match_their_data_sheets():
     bpw34, bp104 = (
         scene.Photodiode.model_validate({"part": n, "position_mm": (0.0, 0.0)}) for n in ("bpw34", "bp104fs")
     )
@@ -163,7 +163,7 @@ def test_an_impossible_table_of_a_photodiode_is_refused(tmp_path, field, rows, w
 @pytest.mark.parametrize(
     ("name", "nm", "ua_at_1_mw_per_cm2"), [("sfh2400fa", 870.0, 6.2), ("bp104s", 850.0, 30.0), ("g1738", 940.0, 0.0)]
 )
-def test_more_photodiodes_read_what_their_data_sheets_say(name, nm, ua_at_1_mw_per_cm2):
+def test_photocurrents_of_more_photodiodes_match_their_data_sheets(name, nm, ua_at_1_mw_per_cm2):
     """Expected: within a tenth the sheet's photocurrent, or its area times its responsivity; GaAsP sees no infrared."""
     part = scene.Photodiode.model_validate({"part": name, "position_mm": (0.0, 0.0)})
     current_ua = 10 * part.size_mm[0] * part.size_mm[1] * float(responsivity_a_per_w(part, nm))

@@ -88,7 +88,7 @@ def test_a_drawings_unit_is_read(tmp_path, unit, unit_mm):
     assert [c for p in outline.corners_mm for c in p] == pytest.approx([c for p in SQUARE for c in p], abs=2e-6)
 
 
-def test_a_unit_that_is_not_known_is_refused(tmp_path):
+def test_an_unknown_unit_is_refused(tmp_path):
     with pytest.raises(InputError, match="its unit .* is not known"):
         drawn(tmp_path, lambda _, space: space.add_lwpolyline(SQUARE, close=True), units=99)
 

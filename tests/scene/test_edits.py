@@ -140,12 +140,12 @@ UNPLACED = ({"name": "a", "part": "led_660"}, {"name": "b", "part": "led_660"})
         (lambda s: nail.Scene.from_kicad(BOARD), "nothing says what its parts are; choose from this"),
     ],
 )
-def test_an_edit_that_makes_no_scene_says_which_field_and_rule(scene, edit, message):
+def test_an_edit_to_an_invalid_scene_names_the_field_and_rule(scene, edit, message):
     with pytest.raises(nail.InputError, match=message):
         edit(scene)
 
 
-def test_a_field_that_is_assigned_says_how_to_change_it(scene):
+def test_assigning_a_field_is_refused_with_the_way_to_change_it(scene):
     for table, field in ((scene, "leds"), (scene.touch, "force_n")):
         with pytest.raises(AttributeError, match=rf"^{field} cannot be assigned: .* scene.with_\(\.\.\.\) returns"):
             setattr(table, field, 1.0)
@@ -178,7 +178,7 @@ def test_a_scene_is_built_from_a_board_of_kicad(monkeypatch):
     assert moved.board.model_fields_set == worn.board.model_fields_set
 
 
-def test_a_scene_says_what_it_holds_in_a_line_and_draws_itself(scene):
+def test_a_scene_summarises_itself_in_a_line_and_draws_itself(scene):
     assert repr(scene) == str(scene) == "<Scene: index; LEDs: ir 800 nm; photodiodes: 8; touch: step>"
     top, cut = scene.draw().axes
     assert {"LED ir, 800 nm", "distal.9"} <= {text.get_text() for text in top.texts} and len(cut.images) == 1

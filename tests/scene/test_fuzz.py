@@ -175,7 +175,7 @@ def test_a_dxf_of_anything(tmp_path_factory, drawn, inside):
 
 @fuzz
 @given(st.binary(max_size=200))
-def test_bytes_that_are_no_file_of_ours(tmp_path_factory, data):
+def test_bytes_of_no_supported_format(tmp_path_factory, data):
     folder = tmp_path_factory.mktemp("fuzz")
     for name, read in (
         ("a.toml", load_scene),
@@ -203,7 +203,7 @@ def test_toml_beyond_all_bounds_is_refused(tmp_path, text, words):
     assert words in few_lines_or_nothing(load_scene, tmp_path / "s.toml")
 
 
-def test_names_that_are_no_names_are_refused(tmp_path):
+def test_invalid_names_are_refused(tmp_path):
     sweep = 'schema_version = 1\nbase = "prototype"\n[[axes]]\npath = "leds.x.flux_mw"\nvalues = [1.0]\n'
     base = tomllib.loads(sweep) | {"base": PROTOTYPE | {"leds": [{"name": ["a", "list"]}, {"name": "ir"}]}}
     (tmp_path / "s.toml").write_bytes(toml(base))
@@ -220,7 +220,7 @@ def test_a_cell_over_128_kb_is_refused(tmp_path):
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names here")
 @pytest.mark.parametrize("name", ["outline.kicad_pcb", "outline.dxf", "outline.csv"])
-def test_a_pipe_is_no_file_and_nobody_waits_for_it(tmp_path, name):
+def test_a_pipe_is_refused_without_waiting(tmp_path, name):
     os.mkfifo(tmp_path / name)
     assert "not an ordinary file" in few_lines_or_nothing(read_outline, tmp_path / name)
     assert "not an ordinary file" in few_lines_or_nothing(load_scene, tmp_path / name)
@@ -232,7 +232,7 @@ def test_a_file_beyond_all_bounds_is_not_read(tmp_path):
     assert "600 MB" in few_lines_or_nothing(load_scene, tmp_path / "s.toml")
 
 
-def test_no_message_quotes_a_foreign_file(tmp_path):
+def test_no_message_quotes_a_file_of_another_kind(tmp_path):
     (tmp_path / "secret").write_text("root:x:0:0:hidden\n")
     scene = 'schema_version = 1\n[finger]\n[touch]\nprofile = "recorded"\nfile = "secret"\n'
     (tmp_path / "s.toml").write_text(scene)

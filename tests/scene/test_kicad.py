@@ -116,7 +116,7 @@ def test_pads_keep_their_place_in_a_footprint_that_is_turned(tmp_path, angle):
         ),
     ],
 )
-def test_every_shape_of_an_outline_is_known(tmp_path, shape, area):
+def test_every_shape_of_an_outline_is_read(tmp_path, shape, area):
     result = board(tmp_path, f"(kicad_pcb (version 20171130) {shape})")
     assert area_mm2(join(result.edges, "x").corners_mm) == pytest.approx(area, abs=0.06)
 
@@ -144,7 +144,7 @@ def test_of_several_boards_in_a_file_the_one_with_the_parts_is_taken():
     assert area_mm2(join([large, small], "x", around=[(22, 2)]).corners_mm) == 25
 
 
-def test_an_origin_that_nobody_set_is_none(tmp_path):
+def test_an_unset_origin_is_none(tmp_path):
     result = board(tmp_path, "(kicad_pcb (version 20171130) (setup (aux_axis_origin 0 0)))")
     assert result.auxiliary_mm is None and result.grid_mm is None
 

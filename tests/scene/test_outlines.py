@@ -112,7 +112,7 @@ def test_a_thousand_lines_that_cross_one_another_are_refused():
 
 
 @pytest.mark.long
-def test_ten_thousand_holes_are_found():
+def test_ten_thousand_holes_are_detected():
     holes = [[(x + 0.2 * a, y + 0.2 * b) for a, b in HOLE] for x in range(100) for y in range(100)]
     lines = [line for one in (((-1, -1), (100, -1), (100, 100), (-1, 100)), *holes) for line in sides(one)]
     result = join(lines, "x")
@@ -135,7 +135,7 @@ def test_room_within_the_border_and_off_its_holes(center, half, free):
     assert has_room(center, half, SQUARE, [HOLE]) is free
 
 
-def test_a_slot_without_a_corner_under_a_part_is_seen():
+def test_a_slot_without_a_corner_under_a_part_is_detected():
     slot = ((-3.0, -0.01), (3.0, -0.01), (3.0, 0.01), (-3.0, 0.01))
     assert not has_room((0.0, 0.5), (1.0, 0.5), SQUARE, [slot]) and has_room((0.0, 0.52), (1.0, 0.5), SQUARE, [slot])
 

@@ -121,7 +121,7 @@ def test_a_reference_that_is_there_twice_is_refused_for_parts_alone(tmp_path):
         Candidate.model_validate(table, context={"folder": tmp_path})
 
 
-def test_where_no_column_tells_the_side_a_warning_says_so(tmp_path, caplog):
+def test_a_missing_side_column_is_warned_of(tmp_path, caplog):
     path = tmp_path / "pos.csv"
     path.write_text("Ref,PosX,PosY,Rot\nD1,1,2,0\n")
     assert read_positions(path)[0].side == "top" and "pos.csv: no column states the side" in caplog.text

@@ -61,7 +61,7 @@ def test_a_recording_is_read_with_its_gaps_and_sites_and_written_again(tmp_path:
         ("time_s,site,a\n0,left,1\n1,even,2\n", "line 2: site = 'left' is unknown; choose from proximal, distal, even"),
     ],
 )
-def test_what_is_no_recording_is_said_in_one_line(tmp_path: Path, text: str, message: str) -> None:
+def test_an_invalid_recording_is_refused_in_one_line(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
         _read(tmp_path, text)
     assert message in str(caught.value)
@@ -107,7 +107,7 @@ def test_readings_of_another_board_are_named(tmp_path: Path) -> None:
         result.with_readings(("a",))
 
 
-def test_what_spreadsheets_add_is_no_fault(tmp_path: Path) -> None:
+def test_what_spreadsheets_add_is_accepted(tmp_path: Path) -> None:
     """A byte order mark, commas at the end of each line, quotes, Windows' line ends and comments."""
     plain = read_sensor_recording(_written(tmp_path, GOOD))
     adorned = "# made today\n" + GOOD.replace("\n", ",,\n").replace("time_s", '"time_s"').replace("\n", "\r\n")

@@ -91,7 +91,7 @@ def test_a_photocurrent_is_the_whole_spectrums_whatever_lies_between_the_wavelen
     assert total == pytest.approx(1e-6 * np.trapezoid(current, nm), rel=1e-3) and total > 1e-7
 
 
-def test_traced_ambient_light_scatters_as_its_standard_error_says(jit_backend, monkeypatch):
+def test_scatter_of_traced_ambient_light_matches_its_standard_error(jit_backend, monkeypatch):
     """Four seeds: chi squared of 3 degrees of freedom below its 99.9 % quantile, at an error of less than 3 %."""
     monkeypatch.setattr("nailoptics.sensor.ambient.PHOTONS", 1 << 14)
     scene = parse_scene(covered(0))
@@ -111,7 +111,7 @@ def test_a_face_in_a_denser_medium_collects_what_falls_on_its_area():
 
 
 @pytest.mark.parametrize("count", [0, 1, 50])
-def test_light_of_which_few_photons_are_known_has_the_error_of_one_at_least(jit_backend, monkeypatch, count):
+def test_light_of_few_traced_photons_has_the_error_of_one_at_least(jit_backend, monkeypatch, count):
     scene = parse_scene(covered(0))
     no_path = np.zeros((count, len(optics.absorbers(scene))), np.float32)
     left = Arrivals(1000, np.arange(count), np.zeros((count, 2)), np.ones(count), no_path, np.zeros(no_path.shape[1]))

@@ -110,7 +110,7 @@ def test_a_coarse_converter_dominates():
     assert read(0.0, LED, DIODE, coarse).volts_noise_rms == pytest.approx(lsb_v(coarse) / np.sqrt(12), rel=1e-4)
 
 
-def test_too_much_light_is_held_at_the_range_and_marked():
+def test_too_much_light_saturates_at_the_range_and_is_marked():
     power_w = np.geomspace(1e-9, 1e-3, 61)
     output = read(power_w, LED, DIODE, Electronics())
     saturated = output.saturated
@@ -137,7 +137,7 @@ def test_light_from_outside_adds_its_current_and_its_noise():
     assert lit.noise_v2 - alone.noise_v2 == pytest.approx(more, rel=1e-6)
 
 
-def test_a_dark_slot_takes_the_mean_away_and_adds_its_own_noise():
+def test_a_dark_slot_subtracts_the_mean_and_adds_its_own_noise():
     bare, slotted = Electronics(), Electronics(ambient_rejection="dark_slot")
     plain, result = (read(1e-7, LED, DIODE, one, ambient_a=2e-7) for one in (bare, slotted))
     dark = read(0.0, LED, DIODE, bare, ambient_a=2e-7)

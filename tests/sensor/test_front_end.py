@@ -33,7 +33,7 @@ def test_settled_slots_read_their_own_light_less_the_dark_slot():
     assert volts[2] == pytest.approx(1e-6 * 4e5 + 1e-10 * 4e5, rel=1e-4)
 
 
-def test_a_slow_stage_carries_the_slot_before_as_its_time_constant_says():
+def test_a_slow_stage_carries_over_the_previous_slot_by_its_time_constant():
     """Expected: with one sample at a slot's end, exp(-slot / tau) of the light before is left, tau = 1 / (4 B)."""
     slow = TEXT.replace("bandwidth_hz = 4000.0", "bandwidth_hz = 250.0").replace("samples = 8", "samples = 1")
     one = stage(parse_scene(slow.replace("start_ms = 2.5", "start_ms = 2.0")))

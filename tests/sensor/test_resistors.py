@@ -67,7 +67,7 @@ def test_photodiodes_keep_the_resistors_that_they_are_given():
     assert parse_scene(to_toml(scene)) == scene
 
 
-def test_as_many_resistors_as_wired_elements_are_asked_for():
+def test_as_many_resistors_as_wired_elements_are_required():
     with pytest.raises(InputError, match="feedback_ohm has 3 values for 4 wired elements"):
         parse_scene(to_toml(prototype()).replace('name = "distal"', 'name = "distal"\nfeedback_ohm = [1e5, 2e5, 3e5]'))
 

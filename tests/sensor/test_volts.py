@@ -50,7 +50,7 @@ def test_a_board_as_long_as_the_nail_is_slid_and_ends_at_the_nails_edge():
         moved_boards(both)
 
 
-def test_drifts_spread_as_stated_after_a_minute_and_begin_at_none():
+def test_drifts_have_the_stated_standard_deviation_after_a_minute_and_begin_at_zero():
     drift, time_s = Drift(led_per_rt_min=0.01, reading_per_rt_min=0.002), np.array([0.0, 60.0])
     made = [drift_and_motion(worn(seed, drift=drift), time_s) for seed in range(300)]
     for name, spread in (("led_drift", 0.01), ("reading_drift", 0.002)):
@@ -60,7 +60,7 @@ def test_drifts_spread_as_stated_after_a_minute_and_begin_at_none():
         assert walks[:, 1].std() == pytest.approx(spread, rel=0.16) and abs(walks[:, 1].mean()) < 4 * spread / 300**0.5
 
 
-def test_motion_has_the_stated_spread_and_correlation_time():
+def test_motion_has_the_stated_standard_deviation_and_correlation_time():
     motion = Motion(lift_um=2.0, slide_um=0.0, correlation_s=1.0)
     time_s = np.arange(0.0, 3000.0, 0.1)
     lift = drift_and_motion(worn(3, motion=motion), time_s).sensor_lift_um.values
@@ -71,7 +71,7 @@ def test_motion_has_the_stated_spread_and_correlation_time():
     assert "sensor_slide_um" not in drift_and_motion(worn(3, motion=motion), time_s[:5])
 
 
-def test_readings_go_with_the_distance_as_the_moved_light_says():
+def test_readings_change_exponentially_with_the_lift_from_the_moved_boards_light():
     scene, time_s = worn(1, motion=Motion(slide_um=0.0)), np.arange(4.0)
     fraction, zero = np.array([[[1.0, 1.0, 2.0, 2.0]]]), np.zeros((1, 1, 4))
     here = ReadingSeries(fraction, 0.01 * fraction, zero, zero)
@@ -92,7 +92,7 @@ def test_readings_go_with_the_distance_as_the_moved_light_says():
 
 
 @pytest.mark.parametrize("distance_um", [250.0, -250.0])
-def test_a_slide_of_either_sign_is_that_of_the_moved_light(distance_um):
+def test_a_slide_of_either_sign_scales_with_the_moved_boards_light(distance_um):
     """Light that falls by a tenth in 250 um one way, and a sensor that slides the same way or the other."""
     scene, time_s = worn(1, motion=Motion(lift_um=0.0)), np.arange(4.0)
     ones, zero = np.ones((1, 1, 4)), np.zeros((1, 1, 4))

@@ -124,7 +124,7 @@ def test_blood_that_pools_is_arterial_to_light_and_formulas_alike():
     assert (result.reading[0] / result.reading[0, 0]).values == pytest.approx(expected, rel=1e-6)
 
 
-def test_the_other_zone_is_reported_and_known_paths_in_both_repair_it():
+def test_the_error_by_the_other_zone_is_reported_and_vanishes_with_paths_in_both():
     n = 4000
     blood = judged(made_up(np.full(n, 2.0), np.full(n, 6.0)), "blood").isel(led=0, sweep=0)
     exponent = blood.setting.values * per_blood(prototype(fwhm_nm=0.0))
@@ -143,7 +143,7 @@ def test_the_parts_add_up_to_the_error_of_taylor():
     assert np.abs(result.part_error.sel(part="blood_scattering")).max() > 0
 
 
-def test_the_page_names_no_part_that_is_not_known():
+def test_the_page_names_no_part_that_was_not_estimated():
     """Rationale: a comparison cut off before the bed's scattering was traced knows nothing of it.
     Expected: the largest of the parts that are known; none where none is.
     """
@@ -156,7 +156,7 @@ def test_the_page_names_no_part_that_is_not_known():
     assert not any("largest part" in words for _, words in compare_page._cards(computed))
 
 
-def test_a_straight_line_fits_an_exponential_up_to_where_theory_says():
+def test_a_straight_line_fits_an_exponential_up_to_the_theoretical_limit():
     """Over a depth d the best line misses exp by d / 12 (n - 2) / (n - 1) of the swing, by n points and least squares.
 
     At 1 % there are 15 of the 41 points: d = 0.129."""
@@ -189,7 +189,7 @@ def test_standard_errors_are_those_of_repeated_traces():
 
 
 @pytest.mark.slow
-def test_what_a_comparison_prints_holds_the_truth_as_often_as_it_says():
+def test_printed_intervals_of_a_comparison_have_their_nominal_coverage():
     """Rationale: every number of a comparison has a standard error, every limit a 95 % interval. Expected: over 20
     made-up traces they hold what twenty times the photons give, in 17 or more (fewer would come once in 60 times)."""
     rng = np.random.default_rng(21)
@@ -218,7 +218,7 @@ def test_what_a_comparison_prints_holds_the_truth_as_often_as_it_says():
 
 @pytest.mark.slow
 @pytest.mark.jit
-def test_the_slope_by_the_beds_scattering_has_a_true_error(jit_backend):
+def test_the_slope_by_the_beds_scattering_has_a_calibrated_standard_error(jit_backend):
     """Expected: over 20 seeds, of photodiodes that some 25 photons or more reach, 95 % intervals hold the slope of
     sixteen times the photons as often as they say."""
     scene = prototype(fwhm_nm=0.0)
@@ -234,7 +234,7 @@ def test_the_slope_by_the_beds_scattering_has_a_true_error(jit_backend):
     assert (np.abs(z) < Z95).mean() > 0.87 and 0.7 < np.sqrt(np.mean(z**2)) < 1.3
 
 
-def test_replicates_know_the_noise_of_the_count():
+def test_replicates_include_the_noise_of_the_count():
     """The number of detected photons is random: its error belongs to a reading, not only that of the weights."""
     transfer = made_up(np.full(10_000, 1.0), np.zeros(10_000))
     mu_a = optics.absorption(transfer.scene, [800.0])[None]
@@ -280,7 +280,7 @@ def test_the_verdict_needs_all_readings(tolerance, outcome):
         assert f" {100 * within:g} % of the swing" in verdict_line(one)
 
 
-def test_a_verdict_on_many_readings_errs_as_seldom_as_it_says():
+def test_a_verdict_on_many_readings_has_its_nominal_error_rate():
     """Rationale: of eight photodiodes one lies above a tolerance by chance more often than a single one does.
     Expected: where all errors lie at the tolerance, a model is rejected in at most 5 % of the repeats, and to
     meet it in fewer; where they lie two standard errors above it, it mostly misses; and the worst one is named."""
@@ -331,7 +331,7 @@ def test_neighbouring_seeds_share_no_streams(monkeypatch):
     assert len(used) == len(set(used)) == 12 and max(used) < 2**63
 
 
-def test_the_terminal_says_of_both_formulas_whether_they_hold_and_what_the_tolerance_is():
+def test_the_terminal_reports_whether_both_formulas_hold_and_the_tolerance():
     draw = np.random.default_rng(4).gamma(2.0, 2.5, 2000)
     computed = judged(made_up(draw, draw), "blood", slopes=np.full((2, 1, 8), np.nan))
     taylor, exact, meaning = compare_page.lines(computed, 0.1)
@@ -393,7 +393,7 @@ def test_a_sweeps_settings_have_a_unit_that_all_of_them_share_or_none():
 
 
 @pytest.mark.long
-def test_the_page_shows_names_that_attack_a_browser_as_text(tmp_path):
+def test_the_page_shows_hostile_names_as_text(tmp_path):
     rng = np.random.default_rng(1)
     result = judged(made_up(rng.uniform(1, 6, 400), rng.uniform(0, 3, 400)), "force", "blood")
     names = [f"{HOSTILE[i % len(HOSTILE)]}{i}" for i in range(result.sizes["photodiode"])]

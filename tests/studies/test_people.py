@@ -35,7 +35,7 @@ def claims(readings: PeopleReadings) -> dict[str, list[Claim]]:
     return by_sentence
 
 
-def test_people_as_the_paper_says_meet_every_rule():
+def test_people_as_the_paper_describes_meet_every_rule():
     made = made_up([0.01, 0.02, 0.04, 0.03], [0.02, 0.021, 0.02, 0.021], late=[0.02, 0.0, -0.02, 0.0])
     assert all(claim.met for claim in evaluate_people(made)) and len(evaluate_people(made)) == len(PEOPLE_RULES)
 
@@ -49,7 +49,7 @@ def test_people_as_the_paper_says_meet_every_rule():
         ("slight rise", {"late": [-0.1, -0.2, -0.2, -0.3]}),
     ],
 )
-def test_people_who_are_otherwise_miss_the_rule_that_says_so(word, how):
+def test_people_who_contradict_a_rule_miss_it(word, how):
     usual = {"proximal": [0.01, 0.02, 0.04, 0.03], "distal": [0.02] * 4, "late": [-0.02, 0.0, 0.02, 0.0]}
     missed = [claim.rule.sentence for claim in evaluate_people(made_up(**usual | how)) if not claim.met]
     assert missed and all(word in sentence for sentence in missed)

@@ -87,7 +87,7 @@ def test_the_nodes_of_a_prior_have_its_mean_and_standard_deviation(scale):
     assert low < at[0] < at[2] < high
 
 
-def test_light_of_one_path_spreads_as_the_absorption_does():
+def test_light_of_one_path_varies_as_the_absorption_does():
     """Rationale: of one path L in the plate ln reading = -mu_a L f + const; f is lognormal with a known variance."""
     halved_to_doubled = PriorRange(field="finger.plate_absorption", low=0.5, high=2.0)
     scene, length_mm = prototype(*all_but("finger.plate_absorption"), ranges=(halved_to_doubled,)), 2.0
@@ -116,7 +116,7 @@ def test_light_of_one_path_spreads_as_the_absorption_does():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("field, value", [("finger.plate_absorption", 0.5), ("finger.bed_absorption", 4.0)])
-def test_a_reread_prior_meets_a_fresh_trace_of_it(jit_backend, traced, field, value):
+def test_a_reweighted_prior_agrees_with_a_fresh_trace_of_it(jit_backend, traced, field, value):
     changed = at_value(traced.scene, field, value)
     assert only_absorbs(traced.scene, next(one for one in shipped_priors() if one.field == field))
     reread, fresh = relative(traced, changed), relative(trace(changed, photons=400_000, seed=2), changed)
@@ -212,7 +212,7 @@ def test_signs_that_hold_do_so_in_joint_draws(request, fresh, draws, seed):
 
 
 @pytest.mark.slow
-def test_the_standard_error_of_a_spread_is_true(traced):
+def test_the_standard_error_of_a_prior_uncertainty_is_calibrated(traced):
     """Twenty parts of the photons, each by itself, against all of them: 95 % intervals hold their estimates."""
     light, parts = traced.traces[0], 20
     whole = readings_over_priors(traced, held_ends, options=OPTIONS, own_traces=False)
@@ -230,7 +230,7 @@ def test_the_standard_error_of_a_spread_is_true(traced):
         assert 0.4 < (off**2).mean() < 2.0, kind
 
 
-def test_noise_of_the_photons_adds_nothing_to_a_spread():
+def test_photon_noise_adds_nothing_to_the_prior_uncertainty():
     """Answers that go with the standardised field, by slopes of 20 groups of photons that scatter by 1 about 1.
     Expected: their mean's square is 1.05 in the mean of repeats, and 1 once its noise is taken away, to 0.003."""
     slopes = leave_one_out(1 + np.random.default_rng(5).standard_normal((20, 20_000)))
@@ -282,7 +282,7 @@ def test_the_traces_of_all_priors_share_one_time(reread, monkeypatch):
 
 
 @pytest.mark.long
-def test_a_finger_of_which_all_is_known_has_no_spread(reread):
+def test_a_finger_without_priors_has_no_prior_uncertainty(reread):
     scene = prototype(*all_but())
     result = readings_over_priors(replace(reread, scene=scene), held_ends, options=OPTIONS, own_traces=True).dataset(
         scene
@@ -319,7 +319,7 @@ def test_signs_by_few_draws_are_those_of_very_many():
     assert result.keeps_sign[part > 0.985].all() and not result.keeps_sign[part < 0.965].any()
 
 
-def test_correlated_priors_add_up_as_their_correlation_says():
+def test_correlated_priors_add_up_by_their_correlation():
     """Expected: var(a u + b v) = a^2 + b^2 + 2 r a b, and of squares 2 (a^2 + b^2 + 2 r^2 a b), in the mean of ten
     pairs of priors, of which each misses the latter by 6 % at most."""
     priors, pairs, root3 = 10 * shipped_priors()[:2], 10, 3**0.5
@@ -423,7 +423,7 @@ def test_every_prior_has_a_source_and_a_field_in_its_range():
     assert scene.priors.of_body(None) == ()
 
 
-def test_a_range_of_spreads_has_no_end_that_photons_hide():
+def test_a_range_of_prior_uncertainties_has_no_end_below_the_photon_noise():
     spread = xr.DataArray([0.002, 0.05, 0.21])
     assert _range(spread, xr.DataArray([0.001, 0.01, 0.01])) == "0-21 %"
     assert _range(spread, xr.DataArray([0.08, 0.01, 0.01])) == "up to 21 %"
@@ -455,7 +455,7 @@ def test_priors_of_vessels_cover_diameters_and_arterial_pressure():
     assert np.abs(tuned(capillary_diameter_m=c) / ends(scene) - 1).max() > 0.1
 
 
-def test_contact_is_no_unknown_where_the_touch_states_it():
+def test_contact_has_no_prior_where_the_touch_states_it():
     def unknown(**fields) -> set[str]:
         touch = Touch(profile="step", force_n=1.0, **fields)
         return {prior.field for prior in Priors().of_finger(touch.stated_contact) if prior.field.startswith("touch.")}

@@ -36,7 +36,7 @@ def scene(tmp_path, *, positions=POSITIONS, text=SCENE):
     return tmp_path / "mine.toml"
 
 
-def test_it_tells_distances_candidates_and_what_is_ignored(tmp_path):
+def test_it_reports_distances_candidates_and_what_is_ignored(tmp_path):
     result = check(load_scene(scene(tmp_path)))
     assert [(p["led"], p["distance_mm"]) for p in result["pairs"]] == [("ir", 4.0), ("red", pytest.approx(17**0.5))]
     assert result["candidates"] == [{"name": "mine", "leds": 2, "photodiodes": 1}]
@@ -181,7 +181,7 @@ def test_it_refuses_what_a_later_command_would(tmp_path, capfd, positions, text,
         ("[-4.0, -5.0], [4.0, -5.0], [4.0, 5.0], [-4.0, 5.0]", []),
     ],
 )
-def test_it_says_where_the_models_board_is_not_that_of_the_file(outline, words):
+def test_it_reports_where_the_models_board_is_not_that_of_the_file(outline, words):
     text = SCENE.split("[placement]")[0].replace("barrier = false", f"barrier = false\noutline_mm = [{outline}]")
     said = [line for line in check(parse_scene(text))["warnings"] if line.startswith("board: ")]
     assert len(said) == len(words) and all(word in line for word, line in zip(words, said, strict=True))

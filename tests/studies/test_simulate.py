@@ -101,7 +101,7 @@ def test_every_distal_reading_rises_with_distal_force(pressed):
 
 
 @pytest.mark.jit
-def test_as_shipped_the_outermost_readings_part(pressed):
+def test_as_shipped_the_outermost_readings_change_in_opposite_directions(pressed):
     """One force on both sides: the proximal end darkens while the distal end brightens."""
     change, stderr = largest_change(pressed["as shipped"])
     assert change[0] < -5 * stderr[0] and change[-1] > 5 * stderr[-1]
@@ -176,7 +176,7 @@ def test_stored_light_needs_no_mitsuba_until_a_part_of_it_is_gone(pressed, own_s
 
 
 @pytest.mark.jit
-def test_the_result_tells_what_it_holds_and_how_it_was_made(pressed):
+def test_the_result_describes_its_variables_and_origin(pressed):
     result = pressed["as shipped"]
     assert_well_described(result)
     assert result.attrs["seed"] == 1 and result.attrs["engine"] == "photons"
@@ -187,7 +187,7 @@ def test_the_result_tells_what_it_holds_and_how_it_was_made(pressed):
 
 
 @pytest.mark.jit
-def test_the_light_that_is_told_by_region_is_all_that_was_emitted(pressed):
+def test_the_light_tallied_by_region_is_all_that_was_emitted(pressed):
     """Expected: parts that add up, and on photodiodes what all of them detect, within the errors of both, which exceed
     what the LED's line makes."""
     result = pressed["as shipped"].isel(led=0)
@@ -379,7 +379,7 @@ def test_commands_that_read_changes_of_blood_refuse_a_bloodless_bed(command):
 
 
 @pytest.mark.jit
-def test_simulate_states_the_false_force_of_what_the_body_does(chosen_jit):
+def test_simulate_states_the_false_force_of_physiological_noise(chosen_jit):
     body = Body(heartbeat=Heartbeat(), hand_height_m=-0.1)
     worn = quiet(prototype(duration_s=1.0, force_n=0.5, release_s=0.8)).model_copy(update={"body": body})
     result = simulate(worn, photons=1 << 13, seed=1)
@@ -543,7 +543,7 @@ def test_what_cannot_be_simulated_is_refused_before_any_light_is_traced(monkeypa
         simulate(full)
 
 
-def test_the_course_of_the_blood_starts_at_rest_and_parts_under_force():
+def test_blood_over_time_starts_at_rest_and_diverges_under_force():
     course = blood_over_touch(prototype())
     blood = course.blood_fraction
     assert np.allclose(blood.isel(time=0), 0.03, rtol=1e-3)
@@ -553,7 +553,7 @@ def test_the_course_of_the_blood_starts_at_rest_and_parts_under_force():
 
 
 @pytest.mark.parametrize("body", [None, {"heartbeat": {}}])
-def test_over_priors_of_the_blood_at_rest_the_course_is_that_of_its_own_touch(monkeypatch, body):
+def test_over_priors_of_the_blood_at_rest_blood_over_time_is_that_of_its_own_touch(monkeypatch, body):
     """Eq. (7): blood goes with the blood at rest, so that another one needs no other course; that of arterioles, which
     are there where a heart beats, does not."""
     scene, asked = prototype(duration_s=1.0, release_s=0.9).with_({"body": body}), []

@@ -65,7 +65,7 @@ def test_scattering_follows_jacques():
 
 
 @pytest.mark.parametrize("wavelength_nm, sd", [(632, 0.62), (694, 0.53), (755, 0.43), (800, 0.39), (980, 0.29)])
-def test_the_beds_scattering_lies_within_the_spread_of_measured_dermis(wavelength_nm, sd):
+def test_the_beds_scattering_lies_within_two_standard_deviations_of_measured_dermis(wavelength_nm, sd):
     # Shimojo 2020, dermis ex vivo, mu_s' per mm and its standard deviation.
     measured = {632: 3.06, 694: 2.64, 755: 2.20, 800: 2.01, 980: 1.45}[wavelength_nm]
     mu_s, g, _ = tissue.scattering("bed", wavelength_nm)
@@ -242,7 +242,7 @@ def test_the_beds_default_absorption_is_the_median_of_five_measurements():
         (lambda: tissue.absorption("epidermis", 800, melanin_fraction=-0.1), "melanin_fraction = -0.1"),
     ],
 )
-def test_impossible_input_is_refused_in_one_line_that_says_what_to_do(call, words):
+def test_impossible_input_is_refused_in_one_line_with_advice(call, words):
     with pytest.raises(InputError, match=words) as caught:
         call()
     assert "\n" not in str(caught.value)

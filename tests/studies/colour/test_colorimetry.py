@@ -45,7 +45,7 @@ def test_daylights_white_is_the_tabulated_one():
     assert 100 * Viewer("D65").white == pytest.approx([95.04, 100, 108.88], abs=0.25)
 
 
-def test_red_and_green_differ_as_the_eye_sees_them():
+def test_red_and_green_lie_on_opposite_sides_of_the_a_axis():
     red = np.where(WAVELENGTHS_NM > 600, 0.8, 0.1)
     green = np.where((WAVELENGTHS_NM > 500) & (WAVELENGTHS_NM < 580), 0.8, 0.1)
     lab = Viewer().lab(np.stack([red, green]))

@@ -99,7 +99,7 @@ def test_a_finger_that_absorbs_nothing_sends_back_almost_all_light(jit_backend):
 
 
 @pytest.mark.long
-def test_a_colours_standard_error_is_true(jit_backend):
+def test_a_colours_standard_error_is_calibrated(jit_backend):
     """Twenty seeds with few rays: standard errors are those of the repeats, and 95 % intervals hold the mean."""
     result = [
         walked(seed, 8_000, shares=SHARES).read([[0.03, 0.03], [0.05, 0.02]], LOOK).reflectance for seed in range(20)
@@ -190,7 +190,7 @@ def test_the_nail_reddens_and_then_whitens_from_the_tip_as_in_the_paper(jit_back
 
 
 @pytest.mark.long
-def test_a_lamp_at_45_degrees_sees_nearly_the_same_colour(rays):
+def test_a_lamp_at_45_degrees_gives_nearly_the_same_colour(rays):
     viewer, rest = Viewer(), [[0.03, 0.03]]
     sky = viewer.lab(rays.read(rest, LOOK).reflectance)
     lamp = viewer.lab(rays.read(rest, Viewing(lit_by="lamp", gloss=False)).reflectance)

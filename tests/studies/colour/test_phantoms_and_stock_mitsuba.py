@@ -125,7 +125,7 @@ def test_white_and_black_phantoms_have_their_exact_colours(jit_backend, monkeypa
 
 @pytest.mark.slow
 @pytest.mark.jit
-def test_a_camera_of_stock_mitsuba_sees_the_same_colour_of_the_nail(chosen_jit):
+def test_a_camera_of_stock_mitsuba_renders_the_same_colour_of_the_nail(chosen_jit):
     """volpath through real media under an even sky, gloss included, against the traced rays, at three wavelengths."""
     backend.activate(chosen_jit)
     bare = NailReflectance(SCENE)

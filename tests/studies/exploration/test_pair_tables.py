@@ -47,7 +47,7 @@ def places(basis, rng, count):
         pytest.param(Rectangle("above", -4.0, 4.0, 1.0, 1.2), id="above", marks=pytest.mark.slow),
     ],
 )
-def test_a_kernel_of_its_form_is_found_from_photons_drawn_from_it(wall):
+def test_a_kernel_of_its_form_is_recovered_from_photons_drawn_from_it(wall):
     """Photons at pairs of places at random, each with the kernel's weight there."""
     basis, rng = pair_basis(BOARD, wall), np.random.default_rng(0)
 

@@ -86,7 +86,7 @@ def test_the_stated_errors_on_an_open_board_are_those_that_are_made(jit_backend:
 
 @pytest.mark.slow
 @pytest.mark.jit
-def test_the_kernel_of_photodiodes_that_look_ahead_is_that_of_their_light(
+def test_the_kernel_of_photodiodes_of_narrow_acceptance_matches_their_light(
     jit_backend: Any, monkeypatch: pytest.MonkeyPatch
 ):
     """Half at 35 degrees: the table counts each photon at either end, a trace where it arrives alone."""

@@ -217,7 +217,7 @@ def test_wrong_requests_are_refused(
     assert message in _refused(capsys, named, written=made)
 
 
-def test_a_saturated_part_counts_as_a_gap_and_is_said(
+def test_a_saturated_part_counts_as_a_gap_and_is_reported(
     folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     text = (folder / "touch.csv").read_text()

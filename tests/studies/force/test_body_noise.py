@@ -27,7 +27,7 @@ def test_pressure_light_and_drift_are_separated() -> None:
     assert np.sqrt(8 / 6 * np.mean(_random_walk_variance(left, time_s, rests))) == pytest.approx(5e-4, rel=0.3)
 
 
-def test_what_readings_do_not_part_is_not_taken_for_much_of_both() -> None:
+def test_pressure_and_light_that_readings_do_not_separate_are_both_kept_small() -> None:
     rng, count = np.random.default_rng(2), 500
     leds = np.ones((8, 1))
     # The pressure moves all readings nearly alike, as the light does; what is left of a fit is 1 % of each reading.
@@ -102,7 +102,7 @@ def test_a_moment_of_far_more_effect_leaves_the_pressure_at_other_times():
 
 
 @pytest.mark.parametrize("rate_per_min", [55.0, 72.0, 110.0])
-def test_the_heartbeats_rate_and_height_are_found_beside_slow_waves(rate_per_min: float) -> None:
+def test_the_heartbeats_rate_and_height_are_estimated_beside_slow_waves(rate_per_min: float) -> None:
     time_s = np.arange(0.0, 60.0, STEP_S)
     pressure = hemodynamics.cardiac_pressure(
         time_s, pulse_pressure_pa=2e3, rate_per_min=rate_per_min, rate_variability=0.05, seed=4

@@ -66,7 +66,7 @@ def slowly_recorded(seed: int) -> Recording:
 
 
 @pytest.mark.long
-def test_a_calibration_learns_how_readings_differ_when_the_sensor_is_put_on_anew() -> None:
+def test_a_calibration_estimates_how_readings_differ_between_donnings() -> None:
     once, subject = calibrated(slowly_recorded(4)), calibrated(every_other(twice()))
     assert once.noise.donning == 0.0 and subject.noise.donning == pytest.approx(next_from_mean(gains(8, 1)), rel=0.2)
     # What an estimate begins from is as uncertain in every reading, and nowhere else.
@@ -88,7 +88,7 @@ def test_a_calibration_learns_how_readings_differ_when_the_sensor_is_put_on_anew
     assert off > max(0.1, 3 * known)
 
 
-def test_two_files_are_two_times_that_the_sensor_is_put_on() -> None:
+def test_two_files_are_two_donnings() -> None:
     """Expected: gains that differ between them, by as much as they do, and hardly any residuals."""
     first, second = slowly_recorded(4), put_on(slowly_recorded(5), 1)
     finger = made_sensor.nominal_finger(parameters(made_sensor.scene().blood.parameters))
@@ -98,7 +98,7 @@ def test_two_files_are_two_times_that_the_sensor_is_put_on() -> None:
     assert np.std(np.hstack(fitted.residual_v)) < 1e-3
 
 
-def test_a_pause_in_which_the_sensor_may_be_off_parts_a_recording() -> None:
+def test_a_pause_in_which_the_sensor_may_be_off_splits_a_recording() -> None:
     own, recording = made_sensor.scene(), twice()
     parts = checked([recording], own)
     assert [part.name for part in parts] == ["made from time_s = 0 on", "made from time_s = 71.98 on"]
@@ -132,7 +132,7 @@ def test_the_protocol_touches_both_sides_each_time_and_rests_before() -> None:
             protocol(donnings=wrong)  # type: ignore[arg-type]
 
 
-def test_readings_change_when_a_simulated_sensor_is_put_on_anew(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_readings_of_a_simulated_sensor_change_between_donnings(tmp_path) -> None:  # type: ignore[no-untyped-def]
     touch = Touch(profile="protocol", protocol_donnings=2, sample_rate_hz=20.0)
     still = Drift(led_per_rt_min=0.0, reading_per_rt_min=0.0, donning=SPREAD)
     scene = load_scene("prototype").model_copy(update={"touch": touch, "body": Body(drift=still)})

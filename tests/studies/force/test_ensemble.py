@@ -40,7 +40,7 @@ def subject() -> Subject:
 # Errors of this body's proximal side, whose vessels fill and empty, are twice those of the distal one.
 @pytest.mark.long
 @pytest.mark.parametrize(("site", "width_n"), [("proximal", 0.95), ("distal", 0.6)])
-def test_a_body_that_the_filter_does_not_know_is_estimated_better(site, width_n):
+def test_the_ensemble_estimates_an_unmodelled_body_better_than_the_filter(site, width_n):
     estimated = predict(subject(), unlike(made_sensor.record(0.9 * made_sensor.touches(), site, seed=7)))
     touched = estimated.known_force_n.values >= 0.15
     assert estimated.touch_rms_n.sel(kind="all") < 0.7 * estimated.attrs["touch_rms_filter_n"]
@@ -50,7 +50,7 @@ def test_a_body_that_the_filter_does_not_know_is_estimated_better(site, width_n)
 
 
 @pytest.mark.long
-def test_a_calibrations_zero_is_that_of_known_rest():
+def test_a_calibrations_zero_is_that_of_recorded_rest():
     recording = unlike(made_sensor.record_touches(seed=1))
     series, read = calibration_series(subject(), [recording]), averaged(recording, RATE_HZ)
     rests = read.force_n < REST_FORCE_N
@@ -173,7 +173,7 @@ def test_readings_at_rest_and_memory_begin_anew_after_a_gap_as_the_filter_does()
     assert memory.with_memory(over_rest, np.zeros((2, 4)), since_s)[:, 2:] == pytest.approx(again)
 
 
-def test_of_both_sides_the_filter_says_half_and_of_one_nothing():
+def test_the_filter_counts_half_in_touches_of_both_sides_and_nothing_in_those_of_one():
     share = np.array([0.0, 0.2, 0.35, 0.5, 0.8, 1.0])
     assert mixed(np.ones((2, 6)), np.full(6, 2.0), share)[0] == pytest.approx(np.array([1.0, 1.0, 1.25, 1.5, 1.0, 1.0]))
     # Nor where members see no touch, whatever the gate says.
@@ -197,7 +197,7 @@ def test_what_the_filter_moves_a_touch_of_both_sides_by_widens_its_interval_by_h
     assert estimate_of(0.4, 1.0, 0.8) == pytest.approx([0.4, 0.4, 0.4, 1.0])
 
 
-def test_a_filter_that_overshoots_is_followed_only_where_members_say_that_a_touch_is_hard():
+def test_a_filter_that_overshoots_is_followed_only_where_members_estimate_a_hard_touch():
     """Expected: of both sides it counts as the largest force that members know, 1.2 N here."""
     assert estimate_of(0.4, 1.0, 3.0)[0] == pytest.approx(0.4) and estimate_of(0.4, 0.5, 3.0)[0] == pytest.approx(0.8)
     assert estimate_of(1.2, 1.0, 3.0)[0] == estimate_of(1.2, 0.5, 3.0)[0] == pytest.approx(3.0)

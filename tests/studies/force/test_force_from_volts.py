@@ -115,7 +115,7 @@ def subject(table: ReadingTable) -> Subject:
     return parse_subject(result.attrs["subject"])
 
 
-def test_the_person_is_found_within_the_stated_errors(subject: Subject) -> None:
+def test_the_persons_factors_are_estimated_within_their_standard_errors(subject: Subject) -> None:
     spread = subject.stderr[: len(NAMES)]
     off = (subject.factors_ln - TRUTH_LN) / spread
     # The true person's proximal capillaries feel nothing of a distal touch: no factor says that.
@@ -144,7 +144,7 @@ def test_the_interval_of_a_touch_that_was_not_calibrated_covers_it(
     assert abs(float(estimated.proximal_share.values[held.values].mean()) - SITES[site]) < 0.15
 
 
-def test_a_press_of_no_known_touch_nearby_has_no_latency() -> None:
+def test_a_press_without_a_recorded_touch_nearby_has_no_latency() -> None:
     """Rationale: of two touches the first is missed, and one is estimated that was none. Expected: its press and
     release are of no other touch, seconds away."""
     time_s = np.arange(0.0, 20.0, 0.02)
@@ -159,7 +159,7 @@ def test_a_press_of_no_known_touch_nearby_has_no_latency() -> None:
     assert np.allclose(latency_s, [0.1, -0.1, np.nan, np.nan], atol=0.021, equal_nan=True)
 
 
-def test_gaps_of_a_known_force_are_no_touches_of_nothing() -> None:
+def test_gaps_of_a_recorded_force_are_no_touches() -> None:
     """Expected: latencies of a force that is known in every other sample as of one that is known in all."""
     time_s = np.arange(0.0, 12.0, 0.02)
     known_n = np.interp(time_s, [2.0, 4.0, 6.0, 8.0], [0.0, 1.0, 1.0, 0.0])
@@ -242,7 +242,7 @@ def test_a_readings_gaps_leave_its_residual_variance() -> None:
     assert fit.variance[0] == pytest.approx(np.mean(residual_v**2) + made_sensor.table().noise_v[0] ** 2, rel=0.05)
 
 
-def test_a_prediction_says_how_wide_its_intervals_of_touches_are(subject: Subject, table: ReadingTable) -> None:
+def test_a_prediction_reports_how_wide_its_intervals_of_touches_are(subject: Subject, table: ReadingTable) -> None:
     estimated = predict(subject, _record(table, _steps(), "proximal", seed=8, pulse_pa=500.0))
     summary, touching = prediction_summary(estimated), (estimated.known_force_n >= 0.15).values
     half_n = 0.5 * (estimated.force_high_n - estimated.force_low_n).values[touching]
@@ -264,7 +264,7 @@ def test_a_calibration_with_large_errors_warns_here_and_in_predictions(subject: 
     assert "the calibration itself was 238 mN off" in predict(wrong, recorded).attrs["warnings"][0]
 
 
-def test_past_closure_the_interval_is_open_above(subject: Subject, table: ReadingTable) -> None:
+def test_past_closure_the_interval_has_no_upper_bound(subject: Subject, table: ReadingTable) -> None:
     estimated = predict(subject, _record(table, _cycle(3.0), "proximal", seed=9))
     assert estimated.attrs["versions"].startswith("nailoptics=")
     shut = estimated.known_force_n.values > 1.5 * float(estimated.open_above_n)
@@ -463,7 +463,7 @@ def test_readings_that_depend_on_one_zone_alone_are_calibrated(table: ReadingTab
 
 
 @pytest.mark.long
-def test_a_contact_three_times_that_of_the_scene_is_found(table: ReadingTable) -> None:
+def test_a_contact_three_times_that_of_the_scene_is_estimated(table: ReadingTable) -> None:
     once = _cycle(2.0)[: round(12.0 / STEP_S)]
     recordings = [_record(table, once, site, seed=seed) for seed, site in enumerate(("proximal", "distal"))]
     free = np.array([name not in ("proximal_share", "distal_reach") for name in NAMES])

@@ -102,7 +102,7 @@ def test_light_that_saturates_a_converter_at_rest_is_refused() -> None:
 
 
 @pytest.mark.long
-def test_a_calibration_under_a_lamp_estimates_under_it_and_says_when_it_is_off() -> None:
+def test_a_calibration_under_a_lamp_estimates_under_it_and_reports_when_it_is_off() -> None:
     subject = calibrated(lit(1000.0))
     same, other = estimated(subject, lit(1000.0)), estimated(subject, lit(None))
     assert same["consistent"] and same["touch_rms_n"] < 0.1

@@ -117,7 +117,7 @@ def test_samples_that_are_none_are_an_input_error(subject: Subject, samples: lis
 @pytest.mark.parametrize(
     ("gap_s", "empty", "unknown"), [(0.0, [0, 1, 2, 6], slice(3)), (6.0, [6, 7, 8], slice(6, 9))], ids=["first", "gap"]
 )
-def test_before_the_first_reading_force_is_not_known(
+def test_before_the_first_reading_force_is_nan(
     subject: Subject, gap_s: float, empty: list[int], unknown: slice
 ) -> None:
     """Expected: NaN in both at the beginning and after a gap of more than 5 s, and from the next reading on the same
@@ -155,7 +155,7 @@ def test_rows_without_a_reading_are_a_gap_as_rows_left_out_are(subject: Subject)
     assert np.array(live_n) == pytest.approx(result.force_n.values, nan_ok=True)
 
 
-def test_what_senders_add_is_no_fault(subject: Subject, lines: list[str]) -> None:
+def test_what_senders_add_is_accepted(subject: Subject, lines: list[str]) -> None:
     plain = list(live(subject, lines))
     windows = [
         "\ufeff" + lines[0].replace("\n", "\r\n"),
@@ -231,7 +231,7 @@ def test_ctrl_c_ends_a_running_command_cleanly(folder: Path, lines: list[str]) -
         assert running.stdout.read() == running.stderr.read() == b""
 
 
-def test_a_calibration_that_was_wrong_is_said_at_once(
+def test_a_wrong_calibration_is_reported_at_once(
     subject: Subject, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     wrong = replace(subject, quality=replace(subject.quality, rms_n=0.3, touches={}))

@@ -6,7 +6,7 @@ import pytest
 from nailoptics.studies.force.kalman import TOUCH_RANGE_N_PER_CM2, rest_odds
 
 
-def test_rest_is_as_likely_as_the_readings_make_it() -> None:
+def test_the_probability_of_rest_follows_from_the_readings() -> None:
     """Expected: the odds of Bayes' rule for rest and for any touch within reach, likewise likely beforehand."""
     known = np.diag([0.03**2, 0.02**2])
 

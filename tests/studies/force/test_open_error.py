@@ -39,7 +39,7 @@ def other(one: Subject, off: np.ndarray) -> Subject:
 
 
 @pytest.mark.parametrize("side", [0, pytest.param(1, marks=pytest.mark.long)])
-def test_an_interval_is_as_wide_as_what_the_calibration_leaves_open(subject: Subject, side: int) -> None:
+def test_an_interval_includes_the_uncertainty_of_the_calibration(subject: Subject, side: int) -> None:
     """Rationale: stiffness, area and how strongly readings fall with blood are hardly known each by itself: one makes
     up for another; the force is known. Expected: readings of a held touch, estimated with calibrations off along every
     direction of the covariance, spread as the interval says.

@@ -10,7 +10,7 @@ from nailoptics.studies.force.calibrate import calibrate_with
 
 
 @pytest.mark.long
-def test_a_fit_tells_how_far_it_is_and_can_be_interrupted() -> None:
+def test_a_fit_reports_its_progress_and_can_be_interrupted() -> None:
     recordings, estimated = [made_sensor.record(made_sensor.cycle(1.5), "distal", seed=2)], list[TraceProgress]()
     calibrate_with(made_sensor.scene(), made_sensor.table(), recordings, progress=estimated.append)
     done = [one.fraction_done for one in estimated]

@@ -19,7 +19,7 @@ from nailoptics.studies.force.subject import parse_subject
 
 @pytest.mark.long
 @pytest.mark.parametrize(("creep", "recovery_s"), [(0.25, 0.3), (0.0, 0.05)])
-def test_calibration_finds_the_pulp_that_the_scene_does_not_state(creep: float, recovery_s: float) -> None:
+def test_calibration_estimates_the_pulp_that_the_scene_does_not_state(creep: float, recovery_s: float) -> None:
     scene, pulp = load_scene(data_dir("scenes") / "prototype.toml"), Pulp(creep, USUAL_PULP.creep_s, recovery_s)
     assert scene.touch.creep is None and scene.touch.distal_relaxation_s is None
     # The distal pulp, which recovers slowly, is felt by a distal touch alone.

@@ -14,7 +14,7 @@ from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.subject import Subject, parse_subject, subject_toml
 
 
-def test_what_is_stated_is_as_often_true() -> None:
+def test_stated_probabilities_are_calibrated() -> None:
     """Expected: of shares that were drawn as stated, those of some stated probability are as often of that side."""
     rng, count, error = np.random.default_rng(1), 200_000, np.array([0.15, 0.3])
     site = rng.integers(3, size=count)

@@ -112,7 +112,7 @@ def test_variances_stay_above_zero_on_a_finger_that_moves_much(scene: Scene, mon
     assert touches.rms_n(*how) == pytest.approx(at_once, rel=1e-6)
 
 
-def test_better_readings_err_less_down_to_what_the_body_leaves(touches: TouchError) -> None:
+def test_better_readings_reduce_the_error_down_to_the_physiological_noise_floor(touches: TouchError) -> None:
     """Expected: more noise errs more, more contrast beside the same drift less, never less than the floor, which
     contrast without end comes near; several layouts at once are as one by one."""
     at_once = touches.rms_n(np.stack([SLOPES, 4 * SLOPES, SLOPES]), np.stack([NOISE, NOISE, 100 * NOISE]), LED)
@@ -126,7 +126,7 @@ def test_better_readings_err_less_down_to_what_the_body_leaves(touches: TouchErr
     assert touches.rms_n(SLOPES, NOISE, np.eye(3)) > usual
 
 
-def test_a_still_body_leaves_the_lag_of_the_filter(scene: Scene, touches: TouchError) -> None:
+def test_a_still_body_leaves_the_error_by_the_lag_of_the_filter(scene: Scene, touches: TouchError) -> None:
     still = TouchError(scene.model_copy(update={"body": None}), 0.5)
     assert still.noise.beat is None and not still.noise.waves and still.noise.drift_per_min == 0
     assert still.floor_n < 0.9 * touches.floor_n
@@ -202,7 +202,7 @@ def test_a_finger_beyond_any_is_refused_in_a_line(scene: Scene) -> None:
         (2.0, ((1, 5, 10, 14), (1, 5, 10, 14)), (1.3, 2.0)),
     ],
 )
-def test_predict_errs_over_touches_as_is_computed(
+def test_the_rms_error_of_predict_over_touches_is_the_computed_one(
     chosen_jit: Any,
     shared_light: None,
     scene: Scene,

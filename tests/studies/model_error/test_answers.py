@@ -29,7 +29,7 @@ def test_bias_and_standard_error_add_in_squares():
     assert biased.photon_seconds(0.029) == math.inf and level("x", signal=0.04).photon_seconds(0.03) == math.inf
 
 
-def test_a_level_whose_bias_is_not_known_answers_nothing():
+def test_a_level_of_unknown_bias_reaches_no_error():
     assert UNKNOWN.seconds(0.9) == math.inf and UNKNOWN.relative_error(0.9) == 0
     assert DIM.photon_seconds(0.31) < 0.02 and DIM.photon_seconds(0.29) == math.inf
 

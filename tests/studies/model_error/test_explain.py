@@ -146,7 +146,7 @@ def test_a_difference_has_the_noise_of_the_photons_that_differ(jit_backend):
 
 @pytest.mark.slow
 @pytest.mark.jit
-def test_effects_that_are_read_from_one_trace_have_true_errors(chosen_jit):
+def test_effects_that_are_read_from_one_trace_have_calibrated_errors(chosen_jit):
     """Rationale: on a narrow nail a few photons cross the skin and carry all that melanin does; line width changes
     every photon a little. Expected: over 20 seeds, 95 % intervals hold the value of sixty times the photons as often as
     they should, as far as errors from a handful of photons can."""
@@ -180,7 +180,7 @@ def test_effects_that_are_read_from_one_trace_have_true_errors(chosen_jit):
 
 @pytest.mark.slow
 @pytest.mark.jit
-def test_effects_that_are_retraced_have_true_errors(chosen_jit, monkeypatch):
+def test_effects_that_are_retraced_have_calibrated_errors(chosen_jit, monkeypatch):
     """Rationale: scenes traced with the same photons differ by those that do not share their way: a few percent where a
     part goes, all where the optics change. Expected: over 20 seeds, 95 % intervals of every photodiode, and of their
     weighted mean, hold the value of twenty times the photons as often as they say; so do those of what is derived from
@@ -264,7 +264,7 @@ def made_up(scene: Scene, paths_mm: tuple[float, float], weight: float, photons:
 
 
 @pytest.mark.parametrize("paths_mm", [(4.0, 0.0), (1.0, 3.0)])
-def test_scattering_of_blood_is_judged_by_the_signal(paths_mm):
+def test_scattering_of_blood_is_evaluated_by_the_signal(paths_mm):
     """Rationale: at rest it is part of the bed's measured scattering, so that it moves the touch's change alone; blood
     scatters less than the dermis whose place it takes. Expected: the slope of ln reading by ln mu_s', here 2, times the
     relative change of mu_s' along the path, as a fraction of the signal; beyond a tolerance of 2 % it matters."""
@@ -281,7 +281,7 @@ def test_scattering_of_blood_is_judged_by_the_signal(paths_mm):
     assert computed.modulation_bound == pytest.approx(computed.bound)
 
 
-def test_what_moves_no_reading_by_the_tolerance_is_judged_by_the_signal():
+def test_what_moves_no_reading_by_the_tolerance_is_evaluated_by_the_signal():
     """Expected: 0.1 % of a reading but 30 % of the signal matters; beyond the tolerance the reading judges, and where
     a touch moves no blood."""
     usual = revised(prototype(), ONE_WAVELENGTH)
@@ -331,7 +331,7 @@ def test_parts_that_are_not_needed_are_left_out_together():
     ("change", "stderr", "bound", "matters"),
     [(0.10, 0.01, 0.12, "yes"), (0.01, 0.003, 0.016, "no"), (0.04, 0.01, 0.06, "undecided"), (0.0, 0.0, 0.0, "no")],
 )
-def test_an_effect_matters_only_if_that_is_sure(change, stderr, bound, matters):
+def test_an_effect_matters_only_if_it_is_significant(change, stderr, bound, matters):
     values = {"change": change, "stderr": stderr, "bound": bound}
     assert replace(needless_effect("x"), **values).matters == matters
 
@@ -372,9 +372,7 @@ def test_an_interrupt_keeps_the_effects_that_were_measured(jit_backend, coarse_c
 
 @pytest.mark.long
 @pytest.mark.jit
-def test_time_that_is_over_leaves_what_was_measured_and_says_so(
-    jit_backend, coarse_cells, monkeypatch, tmp_path, capsys
-):
+def test_a_time_limit_keeps_what_was_measured_and_is_reported(jit_backend, coarse_cells, monkeypatch, tmp_path, capsys):
     """Whatever the clock says: after three traces nothing is left of the time."""
     monkeypatch.setattr(PairedTracer, "seconds_left", property(lambda tracer: 1.0 if tracer._done < 3 else -1.0))
     written = tmp_path / "required.toml"

@@ -41,7 +41,7 @@ def assert_pull_of_one(result: list[dict[str, Level]], name: str, which: str) ->
     assert 0.55 < pull(value, stderr) < 1.45, (name, which, pull(value, stderr))
 
 
-def test_a_bias_and_its_bound_hold_the_truth_as_often_as_they_say():
+def test_intervals_and_bounds_of_a_bias_have_their_nominal_coverage():
     """Rationale: the reported error of a level is a mean over photodiodes and what none of them exceeds. Expected: of
     400 draws of readings with known errors, 95 % of the intervals cover the mean, and of the bounds the largest."""
     draw, errors = np.random.default_rng(4), np.array([[0.01, 0.02, 0.02, 0.05]])
@@ -68,7 +68,7 @@ def test_errors_of_readings_and_modulations(traced):
 
 @pytest.mark.slow
 @pytest.mark.jit
-def test_errors_of_what_formulas_and_one_wavelength_are_off_by(traced, scene):
+def test_errors_of_the_bias_of_formulas_and_one_wavelength(traced, scene):
     """Expected: the reported errors are what other seeds scatter by, of every level without photons of its own."""
     result = []
     for base in traced:
@@ -83,7 +83,7 @@ def test_errors_of_what_formulas_and_one_wavelength_are_off_by(traced, scene):
 @pytest.mark.slow
 @pytest.mark.jit
 @pytest.mark.parametrize("name", ["no bone either", "similarity"])
-def test_errors_of_what_walked_levels_are_off_by(traced, scene, name):
+def test_errors_of_the_bias_of_walked_levels(traced, scene, name):
     """Expected: as above, for a level that shares most photons with the reference, and for one that shares none."""
     other = revised(scene, CHEAPER[name])
     result = []

@@ -95,7 +95,7 @@ def test_json_and_dataset_hold_the_same(tmp_path):
     data.to_netcdf(tmp_path / "tradeoff.nc")
 
 
-def test_the_picture_names_every_level_and_the_page_says_what_each_needs():
+def test_the_picture_names_every_level_and_the_page_states_what_each_needs():
     computed = made(FORMULA, level("biased", 0.05))
     (axes,) = tradeoff_page.draw(computed).axes
     assert sorted(t.get_text() for t in axes.texts) == ["a formula", "biased", REFERENCE]
@@ -122,7 +122,7 @@ def test_lines_to_the_names_of_levels_do_not_cross_and_the_axis_ends_with_the_da
     assert axes.get_xlim()[1] < 10 * most_s
 
 
-def test_the_picture_is_empty_where_no_level_could_be_judged():
+def test_the_picture_is_empty_where_no_level_could_be_evaluated():
     computed = made(level("biased", np.inf))
     computed = replace(computed, levels=tuple(replace(one, reading_noise=np.inf) for one in computed.levels))
     (axes,) = tradeoff_page.draw(computed).axes
@@ -215,7 +215,7 @@ def test_an_interrupt_keeps_the_levels_that_were_measured(jit_backend):
 
 
 @pytest.mark.jit
-def test_a_photodiode_that_saw_nothing_is_one_line(jit_backend):
+def test_an_unlit_photodiode_is_one_line(jit_backend):
     with pytest.raises(NotReachedError, match="none reached photodiode") as caught:
         tradeoff(prototype(), photons=10)
     assert caught.value.result is None and len(str(caught.value).splitlines()) == 1

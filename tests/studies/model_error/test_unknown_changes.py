@@ -33,7 +33,7 @@ def test_every_prior_is_a_change_to_the_end_that_is_farther(scene):
 
 
 @pytest.mark.slow
-def test_unknowns_are_ranked_beside_parts_and_are_never_left_out(chosen_jit, scene):
+def test_priors_are_ranked_beside_parts_and_are_never_left_out(chosen_jit, scene):
     fields = ("finger.plate_absorption", "finger.plate_scattering", "finger.bed_absorption")
     known = tuple(one.field for one in scene.priors.of_finger() if one.field not in fields)
     result = explain(scene.model_copy(update={"priors": Priors(known=known)}), photons=600_000, seed=1)

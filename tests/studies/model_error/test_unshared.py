@@ -56,7 +56,7 @@ def test_photons_that_never_meet_the_bone_are_the_same_without_it(whole, boneles
 
 
 @pytest.mark.long
-def test_errors_of_a_mean_over_photodiodes_are_true(chosen_jit):
+def test_standard_errors_of_a_mean_over_photodiodes_are_calibrated(chosen_jit):
     """Rationale: copies of one photon that reach several photodiodes err alike. Expected: over 24 seeds the mean change
     by the bone scatters as its error says, which a sum of squares over the photodiodes would not be."""
     means, errors, sums = [], [], []

@@ -19,7 +19,7 @@ from nailoptics.studies.oximetry.ratio import (
 SO2 = np.linspace(0.7, 1.0, 31)
 
 
-def test_a_line_is_found_with_the_error_of_its_noise():
+def test_a_line_is_fitted_with_the_standard_error_of_its_noise():
     """Expected: of 40 replicates without a group each, the slope's error is that of many repeats."""
     rng, slopes, errors = np.random.default_rng(4), [], []
     for _ in range(200):
@@ -62,7 +62,7 @@ def along_the_nail(scene: Scene) -> Scene:
     return scene.model_copy(update={"leds": leds, "photodiodes": (diode,)})
 
 
-def test_dies_along_the_nail_are_warned_of_with_what_would_mend_it():
+def test_dies_along_the_nail_are_warned_of_with_advice():
     scene = along_the_nail(load_scene(data_dir("scenes") / "pulse_oximeter.toml"))
     lines = path_warnings(scene, np.array([0.30, 0.45]), np.array([0.9, 1.3]))
     assert len(lines) == 1 and "axis" in lines[0] and "photodiode" in lines[0] and "\n" not in lines[0]

@@ -95,7 +95,7 @@ def test_the_shipped_oximeter_is_one(computed, tmp_path):
 
 
 @pytest.mark.long
-def test_the_command_writes_and_prints_what_was_found(computed, undrawn, monkeypatch, tmp_path, capsys):
+def test_the_command_writes_and_prints_its_results(computed, undrawn, monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(oxygen, "oximeter", lambda scene, **_: computed)
     worn, folder = tmp_path / "worn.csv", tmp_path / "out"
     assert run(["oximeter", "pulse_oximeter", "-o", str(folder), "--recording", str(worn), "--json"]) == 0
@@ -118,7 +118,7 @@ def test_the_pulse_dims_infrared_more_than_red(computed):
 
 
 @pytest.mark.long
-def test_a_disturbance_biases_spo2_as_the_ratio_of_a_scene_so_changed_says(light, computed):
+def test_a_disturbance_biases_spo2_as_the_ratio_of_the_changed_scene(light, computed):
     """Expected: at the end of each curve what the calibrated curve makes of R read anew, and of R diluted by sunlight;
     nothing where the scene is as it was calibrated."""
     scene, so2 = light.scene, light.scene.blood.so2
@@ -205,7 +205,7 @@ def test_r_is_that_of_fresh_traces_with_less_and_more_blood(chosen_jit):
 
 
 @pytest.mark.long
-def test_a_recording_of_the_scene_tells_its_saturation_back(light, computed, without_curves):
+def test_the_saturation_is_recovered_from_a_recording_of_the_scene(light, computed, without_curves):
     """Expected: at saturations that the calibration has not seen, within the noise of the slots, as the light is one,
     until the touch after 20 s, which is marked."""
     for so2 in (0.80, 0.93):

@@ -210,7 +210,7 @@ def test_a_modules_file_that_cannot_be_is_refused_in_one_line(tmp_path, text, wo
     assert "\n" not in str(error.value)
 
 
-def test_what_tells_nothing_is_refused_in_one_line():
+def test_recordings_without_information_are_refused_in_one_line():
     made = recorded(0.9, seed=2)
     short = replace(made, time_s=made.time_s[:150], volts=made.volts[..., :150], dark_v=made.dark_v[:, :150])
     full = replace(made, volts=np.where(np.arange(2)[:, None, None] == 0, 5.0, made.volts))

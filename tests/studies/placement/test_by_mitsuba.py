@@ -31,7 +31,7 @@ def fresh(scene, blood_fraction, *, photons=1 << 19):
 @pytest.mark.parametrize(
     "paths", [pytest.param(1 << 12, marks=pytest.mark.long), pytest.param(1 << 17, marks=pytest.mark.slow)]
 )
-def test_stock_mitsuba_agrees_and_sees_a_wrong_layout_and_medium(jit_backend, store, monkeypatch, paths):
+def test_stock_mitsuba_agrees_and_detects_a_wrong_layout_and_medium(jit_backend, store, monkeypatch, paths):
     """Expected: all within 4 standard errors; with the LED 0.5 mm further away, or ten times the blood, beyond 4.
 
     Batches that are traced once serve all three. A tenth of the light on these photodiodes comes through their sides.

@@ -80,7 +80,7 @@ def test_ends_of_intervals(computed, name):
     assert (((low <= mean) & (mean <= high)).sum(0) >= 17).all()
 
 
-def test_what_so_few_photons_tell_is_said_to_be_roughly_known(computed):
+def test_estimates_from_few_photons_are_reported_as_rough(computed):
     """Expected: said with nearly every seed of what is known to a half, whatever luck does to the estimated error."""
     assert sum("near" in rough_words(rows(one)) for one in computed) >= 17
 

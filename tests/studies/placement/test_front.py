@@ -18,7 +18,7 @@ RULES = "photodiodes = 3\nphotodiode_step_mm = 2.0\nclearance_mm = 0.5\n"
 
 
 @pytest.mark.jit
-def test_the_best_of_each_number_is_chosen_by_one_half_and_judged_by_the_other(jit_backend, monkeypatch):
+def test_the_best_of_each_number_is_chosen_by_one_half_and_evaluated_by_the_other(jit_backend, monkeypatch):
     """Expected: of all pairs on the grid that is taken which is best by the first half of the photons, and what is
     returned is its error by the second half; no photon is traced. Without waves more power lowers it, by no more than
     in proportion; a power beyond the LED's largest current is left out."""

@@ -124,7 +124,7 @@ def test_a_package_lies_around_its_die_as_drawn(tmp_path, side, turn):
 
 @pytest.mark.long
 @pytest.mark.parametrize("barrier", ["true", "false"])
-def test_what_a_search_finds_is_clear_on_the_written_board(tmp_path, barrier):
+def test_searched_layouts_keep_their_clearances_on_the_written_board(tmp_path, barrier):
     """Expected of each layout, read again from its board: no courtyard on another, on the resistor or the connector's
     pins; bodies the clearance apart, and the distance to the edge within it; dies where the layout has them."""
     scene = written(tmp_path, barrier=barrier)
@@ -180,7 +180,7 @@ def test_without_packages_dies_come_nearer(tmp_path):
     assert one.sites.gap_mm("left") == pytest.approx(0.3 - 0.125 + 0.8 + 0.2)
 
 
-def test_crowded_packages_of_a_drawn_board_are_said(coarse_light, few_photons_beside, tmp_path, caplog):
+def test_overlapping_packages_of_a_drawn_board_are_warned_of(coarse_light, few_photons_beside, tmp_path, caplog):
     near = BOARD.replace("(at 102 103)", "(at 102.2 98.6)").replace("(at 96.6 103)", "(at 95.8 103)")
     scene = written(tmp_path, barrier="false", board=near.replace("(at 99.5 97 45)", "(at 101 96.3 45)"))
     lines = boards.courtyard_overlaps(scene)
@@ -205,7 +205,7 @@ def test_a_box_may_be_given_from_any_corner(tmp_path):
 
 
 @pytest.mark.long
-def test_a_package_higher_than_the_epoxy_and_a_lens_within_it_are_said(coarse_light, few_photons_beside, tmp_path):
+def test_a_package_higher_than_the_epoxy_and_a_lens_within_it_are_warned_of(coarse_light, few_photons_beside, tmp_path):
     """Expected: of shipped parts with their own figures; none once epoxy is deep enough and the pattern the die's."""
     scene = written(tmp_path, barrier="false")
     lens, high = ({"part": name} for name in ("sfh4550", "bpw34"))

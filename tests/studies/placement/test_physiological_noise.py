@@ -57,7 +57,7 @@ def _read(point: information.OperatingPoint, *, count: int = 6, noise_v: float =
     )
 
 
-def test_what_is_marginalised_is_what_a_covariance_of_the_readings_says():
+def test_marginalising_the_waves_equals_a_covariance_of_the_readings():
     """Rationale: J = S^T (N + W W^T)^-1 S for slopes S, the electronics' N and the body's shapes W, photodiode by
     photodiode or inverted at once; and the spread of a least squares fit to readings with both noises.
     """
@@ -122,7 +122,7 @@ def test_the_budget_of_the_force_is_its_error_cause_by_cause():
 
 
 @pytest.mark.parametrize("count", [1, 6])
-def test_the_budget_of_one_photodiode_has_what_it_does_not_tell_apart(count):
+def test_the_noise_budget_of_one_photodiode_includes_what_it_cannot_distinguish(count):
     """Expected: floor and causes add up to the figure that ranks, also where one photodiode reads both zones at once
     and follows less of the waves than the floor; what it cannot measure is the most."""
     point = _point(1e-4 * np.array([[7.0, 1.0], [6.0, -2.0]]), gain=2e-3)
@@ -241,7 +241,7 @@ def _with_body(tables: str) -> str:
     return SCENE.replace("[body.heartbeat]\n[body.breathing]\n[body.vasomotion]\n", tables + "\n")
 
 
-def test_a_wave_moves_the_blood_as_a_simulation_says():
+def test_a_wave_moves_the_blood_as_in_a_simulation():
     """Rationale: 20 Pa of a sine through the full equations over its last period, amplitude and phase in both zones."""
     scene = parse_scene(_with_body("").replace('"best"', '"listed"'))
     frequency_hz, force_n = 1.2, 0.3
@@ -292,7 +292,7 @@ def test_waves_faster_than_the_stage_are_left_out():
     assert operating_point(parse_scene(_with_body("[body]")), 0.5).body is None
 
 
-def test_intervals_through_the_body_hold_the_truth_as_often_as_they_say():
+def test_intervals_with_physiological_noise_have_their_nominal_coverage():
     """Rationale: photon maps of known means in 32 noisy blocks, 600 times. Expected: 95 % intervals hold the resolution
     of the means in 90 to 98 % of them, and standard errors are the scatter, though most of the score is the body's.
     """
@@ -321,7 +321,7 @@ def test_intervals_through_the_body_hold_the_truth_as_often_as_they_say():
 
 
 @pytest.mark.long
-def test_errors_over_touches_scatter_as_they_say():
+def test_errors_over_touches_scatter_by_their_standard_errors():
     """Rationale: 16 noisy photon maps, each in 32 blocks, of which the filter's error is taken without one eighth at a
     time. Expected: standard errors are the scatter, within the 50 % of so few maps; a dark layout has no information.
     """
@@ -393,7 +393,7 @@ def test_readings_with_too_few_photons_for_an_error_are_warned_of_and_have_no_nu
 
 
 @pytest.mark.long
-def test_the_page_tells_the_bodys_part(computed, tmp_path):
+def test_the_page_states_the_part_of_physiological_noise(computed, tmp_path):
     (tmp_path / "place.html").write_text(page(computed), encoding="utf-8")
     text = (tmp_path / "place.html").read_text(encoding="utf-8")
     assert "Physiological noise" in text and "Electronics alone<br>[mN]" in text and "heartbeat" in text

@@ -94,14 +94,14 @@ def test_resolution_is_the_error_of_a_least_squares_fit():
     assert information.fixed_ratio_resolution_n(total, AT) <= information.force_resolution_n(total, AT)
 
 
-def test_a_saturated_reading_tells_nothing(scene):
+def test_a_saturated_reading_has_no_information(scene):
     photodiode = scene.photodiodes[0]
     values = np.array([[1e-4, 0, -1e-3, -1e-3], [0.5, 0, -1.0, -1.0]])
     read = information.response(values, scene, 0, photodiode, AT)
     assert np.any(read.slope_v_per_pa[0] != 0) and np.all(read.slope_v_per_pa[1] == 0)
 
 
-def test_a_reading_that_may_be_saturated_tells_as_much_as_it_is_likely_to(scene):
+def test_a_reading_that_may_be_saturated_has_information_by_its_probability(scene):
     """Rationale: with a jump at the converter's limit, a layout there has no error that its photons could estimate.
     Expected: over noisy readings of known error the information's mean is that of one far below times the probability
     to be below, and the jackknife estimates its scatter, where that of a jump is mostly estimated as 0.
@@ -274,7 +274,7 @@ def test_a_turned_photodiode_lies_across_and_comes_back_turned(scene, tmp_path):
     assert (area.rotation_deg, area.area_mm2) == (45.0, 0.25) and area.center_mm == pytest.approx((1.0, -1.0))
 
 
-def test_the_papers_layout_has_the_unknowns_of_the_scene(scene):
+def test_the_papers_layout_has_the_priors_of_the_scene(scene):
     known = tuple(one.field for one in scene.priors.of_finger())[1:]
     requested = scene.model_copy(update={"priors": scene.priors.model_copy(update={"known": known})})
     base, rules = boards.base_board(requested), boards.rules(requested)
@@ -385,7 +385,7 @@ def test_the_search_finds_a_planted_optimum_in_traced_light(chosen_jit):
     assert all(e.area.center_mm[1] > 1.0 for e in best.photodiodes)
 
 
-def test_as_many_photons_are_traced_as_were_asked_for(jit_backend, scene, monkeypatch):
+def test_as_many_photons_are_traced_as_requested(jit_backend, scene, monkeypatch):
     """Of a board, in batches of one size no larger than the tracer's, and by the fresh trace of its layout."""
     monkeypatch.setattr(BoardTracer, "batch_photons", 4000)
     base, rules = boards.base_board(scene), boards.rules(scene)
@@ -427,7 +427,7 @@ def test_each_photodiode_reads_as_what_it_is(scene, body):
     )
 
 
-def test_intervals_allow_for_errors_that_few_blocks_tell():
+def test_intervals_allow_for_errors_estimated_from_few_blocks():
     """Four Gaussian blocks, whose normal interval would hold 86 % of 95."""
     groups = np.random.default_rng(0).normal(0.0, 0.01, (2000, 4))
     objective, replicates = Objective(Placement(), ()), np.exp(leave_one_out(groups.T)).T
@@ -437,7 +437,7 @@ def test_intervals_allow_for_errors_that_few_blocks_tell():
 
 
 @pytest.mark.slow
-def test_the_ranking_is_as_stable_over_seeds_as_its_confidence_says(chosen_jit, scene):
+def test_the_ranking_is_as_stable_over_seeds_as_its_stated_confidence(chosen_jit, scene):
     """Rationale: intervals claim 95 %. Expected: over 20 seeds the scores spread as their standard errors say,
     intervals hold the mean of the other seeds, and no pair of layouts is ranked one way by one seed and the other
     way by another. With a quarter of the photons, errors of 6 %, 63, 62 and 60 of 70 seeds held it: docs/trust.md says
@@ -701,7 +701,7 @@ def test_the_command_writes_what_other_programs_read(chosen_jit, tmp_path, capsy
     assert len(read_outline(out / "best.kicad_pcb").corners_mm) == 4
 
 
-def test_what_few_photons_tell_of_a_photodiode_has_no_error():
+def test_a_photodiode_with_few_photons_has_no_standard_error():
     """Expected: of a hundred and of thirty blocks of equal photons an error, of five of a hundred none, nor of none."""
     groups = np.zeros((100, 4))
     for photodiode, count in enumerate((100, 30, 5, 0)):
@@ -738,7 +738,7 @@ def test_layouts_that_are_compared_are_named_with_their_parts():
     assert _named(ranking) == {"a": "a (3 photodiodes, 5 mW)"}
 
 
-def test_a_bound_that_is_known_worse_than_its_distance_is_left_out():
+def test_a_bound_of_large_standard_error_is_left_out():
     """A small distance with a small error is shown, however they compare (test_certificate)."""
     known = xr.Dataset({"bound": 1.0, "above_bound": 0.4, "above_bound_stderr": 4.51, "bounded_sites": 3})
     assert "has a standard error of 451 %" in _bound(known)

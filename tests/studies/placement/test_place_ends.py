@@ -70,7 +70,7 @@ def test_verification_of_the_best_layout_ends_within_a_batch(chosen_jit, scene, 
 
 
 @pytest.mark.slow
-def test_a_time_limit_returns_the_layouts_traced_and_says_so(chosen_jit, scene, tmp_path, monkeypatch):
+def test_a_time_limit_returns_the_layouts_traced_and_is_reported(chosen_jit, scene, tmp_path, monkeypatch):
     """Every look at the clock takes a second: the given layouts' board has light by then, the paper's has not."""
     clock = itertools.count()
     monkeypatch.setattr(StageProgress, "seconds", property(lambda _: next(clock)))
@@ -87,7 +87,7 @@ def test_a_time_limit_returns_the_layouts_traced_and_says_so(chosen_jit, scene, 
 
 
 @pytest.mark.slow
-def test_listed_layouts_and_the_best_are_judged_after_a_long_search(chosen_jit, monkeypatch):
+def test_listed_layouts_and_the_best_are_evaluated_after_a_long_search(chosen_jit, monkeypatch):
     clock = itertools.count()
     monkeypatch.setattr(StageProgress, "seconds", property(lambda _: next(clock)))
     searched = parse_scene(SCENE.replace("search = false", "search = true"))

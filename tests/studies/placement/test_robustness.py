@@ -68,7 +68,7 @@ def test_the_ranking_covers_every_prior_that_only_absorbs(ranked):
     assert int(result.nodes) == 6 and int(result.best_stays_best_at) == ahead and int(result.best_surely_beaten_at) == 0
 
 
-def test_a_node_is_what_a_placement_of_that_finger_finds(ranked):
+def test_a_node_has_the_resolution_of_a_placement_on_that_finger(ranked):
     """Rationale: the same layout judged on a finger that has the node's value, by photons of its own."""
     base, rules, layouts, judged, result = ranked
     prior = next(one for one in base.priors.of_finger() if one.field == FIELDS[0])
@@ -85,7 +85,7 @@ def test_a_node_is_what_a_placement_of_that_finger_finds(ranked):
     assert score.relative_error < 0.1
 
 
-def test_what_holds_is_said_in_words_and_on_the_page(ranked):
+def test_robust_conclusions_are_reported_in_words_and_on_the_page(ranked):
     *_, result = ranked
     lines = spread_summary(result)["conclusions"]
     times = int(result.best_stays_best_at)
@@ -96,7 +96,7 @@ def test_what_holds_is_said_in_words_and_on_the_page(ranked):
     assert "Uncertainty over the priors" in spread_section(result)
 
 
-def test_without_time_only_complete_readings_are_reported(ranked, monkeypatch):
+def test_out_of_time_only_complete_readings_are_reported(ranked, monkeypatch):
     """Expected: all fingers of one digit share their light; the second layout is not begun."""
     _, rules, layouts, judged, _ = ranked
     checks = itertools.count()
@@ -109,7 +109,7 @@ def test_without_time_only_complete_readings_are_reported(ranked, monkeypatch):
     assert not resolution_over_priors(layouts, rules, judged)
 
 
-def test_light_that_goes_otherwise_is_traced_by_itself(ranked):
+def test_a_prior_of_scattering_is_traced_by_itself(ranked):
     """Expected: a bed that scatters hardly otherwise is estimated by photons of its own, and as the usual one."""
     _, rules, layouts, judged, _ = ranked
     scatters = next(one for one in layouts[0].board.priors.of_finger() if one.field == FIELDS[2])
@@ -128,7 +128,7 @@ def test_light_that_goes_otherwise_is_traced_by_itself(ranked):
     assert np.abs(np.log(nodes / score.force.all_n[0])).max() < 4 * np.sqrt(2) * score.relative_error
 
 
-def test_unknown_waves_of_the_body_spread_the_resolution(ranked):
+def test_priors_of_the_bodys_waves_spread_the_resolution(ranked):
     """Expected: with breathing between the ends of its prior the false force by it goes with its amplitude."""
     _, rules, layouts, judged, _ = ranked
     board = layouts[0].board.model_copy(update={"body": Body(breathing=Breathing())})

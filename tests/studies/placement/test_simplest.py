@@ -173,7 +173,7 @@ def response(scene, values, at):
     return information.response(values, scene, 0, scene.photodiodes[0], at)
 
 
-def test_the_page_says_how_many_tie():
+def test_the_page_states_how_many_tie():
     rows = [{"layout": name, "rank": rank} for name, rank in (("a", 1), ("b", 1), ("c", 1), ("d", 4))]
     assert _tied(rows).startswith("Proposed: a, the simplest of 3 layouts that tie (rank 1)")
     assert "Another seed" in _tied(rows)
@@ -220,7 +220,7 @@ def test_seeds_agree_on_the_simplest_of_what_ties():
 
 
 @pytest.mark.slow
-def test_seeds_propose_one_layout_of_the_shipped_scene_or_say_that_they_tie(chosen_jit, store):
+def test_seeds_propose_one_layout_of_the_shipped_scene_or_report_a_tie(chosen_jit, store):
     """Expected: the proposals of three seeds are the same, every part within 0.25 mm, or each says that others tie."""
     scene, computed = load_scene(data_dir("scenes") / "placement.toml"), []
     for seed in (1, 2, 3):

@@ -95,7 +95,7 @@ def test_errors_of_the_sensitivity_over_the_board(computed):
 
 
 @pytest.mark.parametrize("name", ["checked_resolution_n"])
-def test_errors_of_the_look_at_the_best(computed, name):
+def test_errors_of_the_verification_of_the_best_layout(computed, name):
     """Expected: what other seeds scatter by."""
     assert_true(*(np.array([[one.attrs[f"{name}{end}"]] for one in computed]) for end in ("", "_stderr")), name)
 

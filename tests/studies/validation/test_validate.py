@@ -184,7 +184,7 @@ def test_waves_and_pulse_without_light_agree_with_people():
     assert 0.15 < fall < 0.4
 
 
-def test_skin_is_seen_with_the_bandwidth_of_a_spectrophotometer(monkeypatch):
+def test_skin_is_measured_with_the_bandwidth_of_a_spectrophotometer(monkeypatch):
     """Expected: a line of one of the wavelengths, 5 nm apart, counts for a third there, and none 10 nm off."""
     spectrum = np.zeros((1, 77))
     spectrum[0, appearance.WAVELENGTHS_NM == 560] = 1.0
