@@ -6,7 +6,7 @@ What is left is the body's own noise: heartbeat, breathing, vasomotion and drift
 from dataclasses import replace
 
 import numpy as np
-from force_scores import VirtualPerson, asked_of
+from force_scores import VirtualPerson, required_samples
 from record import TOUCHES, Site, touch_of
 
 from nailoptics.hemodynamics import cardiac_pressure
@@ -27,7 +27,7 @@ STEPS, TOUCH_SPREAD = np.array([0.01, 0.01, 50.0]), 0.5
 SLOW_COHERENCE_S, BREATH_COHERENCE_S = 4.0, 30.0
 
 
-def exactly_known(subject: Subject, scene: Scene) -> Subject:
+def exactly_calibrated(subject: Subject, scene: Scene) -> Subject:
     """The subject as if calibration had left nothing open, with the noise of a scene's body."""
     body, noise = scene.body, subject.noise
     assert body is not None
@@ -87,7 +87,7 @@ def floor_n(subject: Subject, person: VirtualPerson, kind: str, site: Site, *, s
     touch = person.recording(kind, site, seed=1)
     played = touch_of(person.scene, TOUCHES[kind], site, person.rate_hz)
     recording = modelled(subject, person.scene.model_copy(update={"touch": played}), touch, seed=seed)
-    known, requested = exactly_known(subject, person.scene), asked_of(kind, touch.time_s)
+    known, requested = exactly_calibrated(subject, person.scene), required_samples(kind, touch.time_s)
     result = predict(known, recording)
     return float(np.sqrt(np.mean((result.force_n - result.known_force_n).values[requested] ** 2)))
 

@@ -159,7 +159,7 @@ def recordings_of(person: VirtualPerson, kinds: tuple[str, ...]) -> list[Recordi
     return [person.recording(kind, site) for kind in kinds for site in sides[kind]]
 
 
-def asked_of(kind: str, time_s: NDArray[np.float64]) -> NDArray[np.bool_]:
+def required_samples(kind: str, time_s: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Which samples of some touches may be judged: the last of the slow cycles goes beyond what is required."""
     last = record.REST_S + record.PERIOD_S * np.flatnonzero(np.array(record.SLOW_N) > MOST_N)[0]
     return np.asarray(time_s < last) if kind == "slow" else np.ones(time_s.shape, bool)
@@ -170,7 +170,7 @@ def score(subject: Subject, person: VirtualPerson, kind: str, site: record.Site)
     recording = person.recording(kind, site, seed=1)
     estimated = predict(subject, recording)
     force_n, closure_n = estimated.known_force_n.values, person.closure_n(site)
-    requested = asked_of(kind, estimated.time.values) & (force_n >= TOUCH_N)
+    requested = required_samples(kind, estimated.time.values) & (force_n >= TOUCH_N)
     below, above = requested & (force_n < closure_n), force_n > closure_n
     inside = (estimated.force_low_n.values <= force_n) & (force_n <= estimated.force_high_n.values)
     is_open = np.isinf(estimated.force_high_n.values)

@@ -16,7 +16,7 @@ class Tags(HTMLParser):
     def __init__(self, text: str) -> None:
         super().__init__()
         self.found: list[str] = []
-        self.said = ""
+        self.visible_text = ""
         self.feed(text)
         self.close()
 
@@ -24,11 +24,11 @@ class Tags(HTMLParser):
         self.found += [tag, *(name for name, _ in attrs if name.startswith("on"))]
 
     def handle_data(self, data: str) -> None:
-        self.said += data
+        self.visible_text += data
 
 
 def assert_text_alone(text: str, name: str) -> None:
     """The name is read on the page, and made nothing of it a tag."""
     page = Tags(text)
     assert not set(page.found) & {"script", "img", "i", "onerror", "onload"}, page.found
-    assert name in page.said
+    assert name in page.visible_text

@@ -46,7 +46,7 @@ class Ended:
 
     code: int
     out: str
-    said: list[str]
+    stderr_lines: list[str]
     later: int
 
 
@@ -92,9 +92,9 @@ def interrupted_at(
     finally:
         deadline.cancel()
         process.kill()
-    said = [line for line in err.splitlines() if not line.startswith("call ")]
+    stderr_lines = [line for line in err.splitlines() if not line.startswith("call ")]
     assert "Traceback" not in before + err
-    return Ended(process.returncode, out, said, len(err.splitlines()) - len(said))
+    return Ended(process.returncode, out, stderr_lines, len(err.splitlines()) - len(stderr_lines))
 
 
 @dataclass(frozen=True)

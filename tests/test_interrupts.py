@@ -70,8 +70,8 @@ def test_explore_ends_within_a_batch_and_writes_no_page_without_all_groups(folde
     """A batch of every group of each wavelength gives its errors: at the third of the first nothing can be shown."""
     ended = interrupting.at(BATCH, *EXPLORE, call=3)
     assert (ended.code, ended.later) == (130, 0) and not written(folder)
-    assert ended.said[-1].startswith("nailoptics: interrupted with 3072 of 24576 photons. ")
-    assert "No page was written." in ended.said[-1]
+    assert ended.stderr_lines[-1].startswith("nailoptics: interrupted with 3072 of 24576 photons. ")
+    assert "No page was written." in ended.stderr_lines[-1]
 
 
 @pytest.mark.long
@@ -81,7 +81,7 @@ def test_explore_keeps_what_it_has_of_every_wavelength(folder, interrupting, sma
     ended = interrupting.at(BATCH, *EXPLORE[:3], "24576", *EXPLORE[4:], call=26)
     assert (ended.code, ended.later) == (3, 0) and written(folder) == {"page.html"}
     why = "interrupted with 26624 of 36864 photons."
-    assert ended.said[-1] == f"nailoptics: {why} What was reached is in page.html."
+    assert ended.stderr_lines[-1] == f"nailoptics: {why} What was reached is in page.html."
     page = Path("page.html").read_text(encoding="utf-8")
     assert why in page.split("</header>")[0]
     assert "2 wavelengths" in ended.out and ended.out.startswith(f"Cut off: {why}")
@@ -90,7 +90,7 @@ def test_explore_keeps_what_it_has_of_every_wavelength(folder, interrupting, sma
 @pytest.mark.jit
 def test_an_interrupt_between_two_results_leaves_the_first_whole(folder, interrupting, coarse_cells, store):
     ended = interrupting.at("nailoptics.report.pages.simulate:document", *SIMULATE)
-    assert ended.code == 130 and written(folder / "out") == {SIMULATION.files[0]} and ended.said[-1] == COMPLETE
+    assert ended.code == 130 and written(folder / "out") == {SIMULATION.files[0]} and ended.stderr_lines[-1] == COMPLETE
     assert xr.load_dataset(folder / "out" / SIMULATION.files[0]).sizes["time"] > 0
 
 
@@ -104,8 +104,11 @@ def test_the_priors_of_a_simulation_end_within_a_batch(folder, interrupting, coa
     traced = "nailoptics.light.tracing.trace_scene:LedSource.batch"
     ended = interrupting.at(traced, *SIMULATE, call=5)
     assert (ended.code, ended.later) == (3, 0) and written(folder / "out") == set(SIMULATION.files)
-    assert ended.said[-1] == "nailoptics: interrupted; priors not traced: bed scattering. What was reached is in out."
-    assert ended.said[-2] == "nailoptics: no more light is traced; writing what was reached."
+    assert (
+        ended.stderr_lines[-1]
+        == "nailoptics: interrupted; priors not traced: bed scattering. What was reached is in out."
+    )
+    assert ended.stderr_lines[-2] == "nailoptics: no more light is traced; writing what was reached."
     result = xr.load_dataset(folder / "out" / SIMULATION.files[0])
     how = dict(zip(result.prior_field.values.tolist(), result.prior_how.values.tolist(), strict=True))
     assert how == dict(zip(unknown, ("retraced", "not traced", "reweighted"), strict=True))
@@ -118,7 +121,7 @@ def test_a_second_interrupt_ends_the_command_at_once(folder, chosen_jit, store):
     """It comes before the first batch is traced, or when one is to take its place in the store."""
     for place in ("nailoptics.light.tracing.trace_scene:take_batches", "nailoptics.io:os.replace"):
         ended = interrupted_at(place, *SIMULATE, twice=True)
-        assert ended.code == 130 and ended.said[-1] == COMPLETE
+        assert ended.code == 130 and ended.stderr_lines[-1] == COMPLETE
         assert not list(folder.rglob("*.part")) and not list(store.rglob("*.dat")) and not written(folder / "out")
 
 
@@ -133,8 +136,10 @@ def test_the_colour_of_a_nail_is_kept_without_its_photographs(folder, interrupti
         "nailoptics.studies.colour.nail_colour:photograph",
     ):
         ended = interrupting.at(place, *command)
-        assert (ended.code, ended.later) == (3, 0), ended.said
-        assert ended.said[-1].endswith("What was reached is in out.") and "interrupted" in ended.said[-1]
+        assert (ended.code, ended.later) == (3, 0), ended.stderr_lines
+        assert (
+            ended.stderr_lines[-1].endswith("What was reached is in out.") and "interrupted" in ended.stderr_lines[-1]
+        )
         assert written(folder / "out") == {"colour.nc", "colour.html", "strip.png"}
 
 
@@ -147,7 +152,7 @@ def test_the_rays_that_a_colour_waits_for_are_given_up(folder, interrupting, mon
     for name, value in SMALL_ROUNDS.items():
         monkeypatch.setattr(nail_colour, name, value)
     ended = interrupting.at(place, *command, call=NODES + 2)
-    assert (ended.code, ended.later) == (3, 0) and "interrupted at a standard error of" in ended.said[-1]
+    assert (ended.code, ended.later) == (3, 0) and "interrupted at a standard error of" in ended.stderr_lines[-1]
     assert xr.load_dataset("out/colour.nc").attrs["photons"] < 2 * PILOT
 
 
@@ -167,7 +172,7 @@ def test_a_calibration_is_not_made_of_a_part_of_its_light(folder, interrupting, 
     for twice in (True, False):
         ended = interrupting.at("nailoptics.light.tracing.trace_scene:LedSource.batch", *command, twice=twice)
         assert (ended.code, ended.later) == (130, 0)
-        assert ended.said[-1] in (COMPLETE, "nailoptics: interrupted; no subject was written.")
+        assert ended.stderr_lines[-1] in (COMPLETE, "nailoptics: interrupted; no subject was written.")
         assert written(folder) - {"recording.csv"} == {str(path.relative_to(folder)) for path in store.rglob("*.dat")}
 
 
@@ -177,7 +182,7 @@ def test_a_command_in_the_background_of_a_script_ignores_interrupts(folder, chos
     """A shell lets it ignore SIGINT, which is for the script; expected: it goes on to its end."""
     ended = interrupted_at("nailoptics.light.tracing.trace_scene:take_batches", *SIMULATE, ignored=True)
     assert ended.code == 0 and written(folder / "out") == set(SIMULATION.files)
-    assert not [line for line in ended.said if "interrupt" in line or "stopping" in line]
+    assert not [line for line in ended.stderr_lines if "interrupt" in line or "stopping" in line]
 
 
 def alone(code: str) -> tuple[int, str]:

@@ -235,10 +235,10 @@ def test_objects_are_neither_written_nor_read():
     """An archive that asks for Python objects is refused, not unpickled."""
     with pytest.raises(TypeError):
         io.pack({}, {"a": np.array([object()])})
-    foreign = BytesIO()
-    np.savez(foreign, header=np.frombuffer(b"{}", np.uint8), a=np.array([object()]))
+    with_objects = BytesIO()
+    np.savez(with_objects, header=np.frombuffer(b"{}", np.uint8), a=np.array([object()]))
     with pytest.raises(io.CorruptError, match="not an archive of numbers"):
-        io.unpack(foreign.getvalue())
+        io.unpack(with_objects.getvalue())
     for data in (b"", b"nailoptics-record 1 ", b"\x89HDF\r\n\x1a\n", b"12345678"):
         with pytest.raises(io.CorruptError):
             io.unpack(data)
@@ -259,13 +259,13 @@ def test_concurrent_writers_of_one_file_leave_a_whole_one(tmp_path):
         subprocess.Popen([sys.executable, "-c", WRITER, str(path), letter], env=here(), stderr=subprocess.PIPE)
         for letter in "abcd"
     ]
-    seen = set()
+    computed_sizes = set()
     while any(writer.poll() is None for writer in writers):
         if path.exists():
             computed = path.read_bytes()
             assert len(computed) == 100_000 and len(set(computed)) == 1
-            seen.add(computed[:1])
-    assert [writer.communicate()[1] for writer in writers] == [b""] * 4 and seen
+            computed_sizes.add(computed[:1])
+    assert [writer.communicate()[1] for writer in writers] == [b""] * 4 and computed_sizes
     assert [writer.returncode for writer in writers] == [0] * 4 and names(tmp_path) == ["file"]
 
 

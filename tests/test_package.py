@@ -82,10 +82,8 @@ def test_a_plain_install_finds_its_assets_and_scenes(tmp_path):
         text=True,
     )
     assert done.returncode == 0, done.stderr
-    found_assets, found_scenes, columns = done.stdout.split("\n")[:3]
-    assert (
-        Path(found_assets) == tmp_path / "nailoptics/_assets" and Path(found_scenes) == tmp_path / "nailoptics/_scenes"
-    )
+    assets_dir, scenes_dir, columns = done.stdout.split("\n")[:3]
+    assert Path(assets_dir) == tmp_path / "nailoptics/_assets" and Path(scenes_dir) == tmp_path / "nailoptics/_scenes"
     assert int(columns) >= 2
 
 

@@ -20,10 +20,10 @@ for line in sys.stdin:
     folder, store, *arguments = line.split()
     os.chdir(folder)
     os.environ["NAILOPTICS_STORE"] = store
-    said = io.StringIO()
-    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(said):
+    errors = io.StringIO()
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(errors):
         code = run([*arguments])
-    print(code, said.getvalue().replace(chr(10), " | "), flush=True)
+    print(code, errors.getvalue().replace(chr(10), " | "), flush=True)
 """
 SWEEP = """
 schema_version = 1
@@ -62,8 +62,8 @@ def commands() -> Iterator[Commands]:
         result = []
         for line in lines:
             print(folder, line, file=process.stdin, flush=True)
-            code, _, said = process.stdout.readline().partition(" ")
-            result.append((int(code), said))
+            code, _, message = process.stdout.readline().partition(" ")
+            result.append((int(code), message))
         return result
 
     with process:
@@ -93,14 +93,14 @@ def test_light_is_traced_where_its_store_may_not_be_read(jit_backend, commands, 
     for path in (folder / "open").iterdir():
         path.chmod(0o000)
     result = commands(folder, *(f"{store} {trace}" for store in ("hidden", "listed", "shown", "hidden/deep", "open")))
-    for code, said in result:
-        assert code == 0 and "traced light is not stored" in said and "Permission denied" in said
+    for code, message in result:
+        assert code == 0 and "traced light is not stored" in message and "Permission denied" in message
     for path in (folder / "open").iterdir():
         path.chmod(0o700)
         for file in path.iterdir():
             file.chmod(0o000)
-    ((code, said),) = commands(folder, f"open {trace}")
-    assert code == 0 and "open: stored light cannot be read (Permission denied); traced again" in said
+    ((code, message),) = commands(folder, f"open {trace}")
+    assert code == 0 and "open: stored light cannot be read (Permission denied); traced again" in message
 
 
 @pytest.mark.long
@@ -110,22 +110,22 @@ def test_a_batch_overwrites_no_plan_that_it_may_not_read(jit_backend, commands, 
     assert commands(folder, batch)[0][0] == 0
     before = (out / "plan.json").read_text()
     (out / "plan.json").chmod(0o000)
-    for code, said in commands(folder, batch, "off batch --status out"):
-        assert code == 2 and "plan.json: cannot be read: Permission denied; have it made readable" in said
+    for code, message in commands(folder, batch, "off batch --status out"):
+        assert code == 2 and "plan.json: cannot be read: Permission denied; have it made readable" in message
     (out / "plan.json").chmod(0o600)
     assert (out / "plan.json").read_text() == before
     first, *others = sorted((out / "results").iterdir())
     stamps = [path.stat().st_mtime_ns for path in others]
     first.chmod(0o000)
-    ((code, said),) = commands(folder, batch)
-    assert code == 0 and "made again" in said and [path.stat().st_mtime_ns for path in others] == stamps
+    ((code, message),) = commands(folder, batch)
+    assert code == 0 and "made again" in message and [path.stat().st_mtime_ns for path in others] == stamps
     (out / "failed").chmod(0o000)
     first.unlink()
     assert commands(folder, "off batch --status out")[0][0] == 0
     (out / "failed").chmod(0o700)
     out.chmod(0o000)
-    for code, said in commands(folder, batch, "off batch --status out"):
-        assert code == 2 and "Permission denied" in said and "internal" not in said
+    for code, message in commands(folder, batch, "off batch --status out"):
+        assert code == 2 and "Permission denied" in message and "internal" not in message
 
 
 def test_unreadable_files_give_one_line(commands, folder):
@@ -135,10 +135,10 @@ def test_unreadable_files_give_one_line(commands, folder):
     lines = [f"off {name} shut.toml" for name in ("simulate", "trace", "place", "check", "explain", "oximeter")]
     lines += ["off batch shut.toml -o b", "off predict shut.toml shut.csv", "off calibrate prototype shut.csv"]
     lines += ["off compare-with shut.npz", "off check shut/in.toml"]
-    for code, said in commands(folder, *lines):
-        assert code == 2 and "cannot be read: Permission denied; give" in said and said.count("nailoptics:") == 1
+    for code, message in commands(folder, *lines):
+        assert code == 2 and "cannot be read: Permission denied; give" in message and message.count("nailoptics:") == 1
     lines = ["off export prototype -o shut/x.glb", "off export prototype -o shut/x --format mcx"]
-    for code, said in commands(
+    for code, message in commands(
         folder, *lines, "off simulate prototype -o shut/x", "off explore prototype -o shut/x.html"
     ):
-        assert code == 2 and "cannot be written: Permission denied; choose another place." in said
+        assert code == 2 and "cannot be written: Permission denied; choose another place." in message

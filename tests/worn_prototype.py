@@ -60,7 +60,7 @@ def computed_n(touches: TouchError, table: ReadingTable) -> float:
     return float(touches.rms_n(by_blood / volts[:, None], table.noise_v / volts, table.same_led()))
 
 
-def known_exactly(sensor: Scene, touches: TouchError, table: ReadingTable, recording: Recording) -> Subject:
+def exactly_calibrated(sensor: Scene, touches: TouchError, table: ReadingTable, recording: Recording) -> Subject:
     """Who wears a sensor, as by a calibration without error; gains are those of the recording's rest."""
     zero, count = np.zeros(len(table.names)), len(table.names)
     gain = np.median(recording.volts[:, :100], axis=1) / table.volts(touches.person.blood(np.ones(2)))

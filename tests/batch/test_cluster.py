@@ -81,15 +81,15 @@ def cluster_with_nannies(tmp_path: Path) -> Iterator[Cluster]:
 
 def once(at: int, act) -> tuple[list[str], object]:
     """A progress callback that acts when so many scenes are done, and the news that it got."""
-    said, left = [], [act]
+    news, left = [], [act]
 
     def progress(p: BatchProgress) -> None:
         if p.news:
-            said.append(p.news)
+            news.append(p.news)
         if p.done >= at and left:
             left.pop()()
 
-    return said, progress
+    return news, progress
 
 
 def done_with(cluster: Cluster, calm: Calm, folder: Path, progress) -> None:

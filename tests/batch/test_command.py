@@ -34,9 +34,9 @@ def test_a_sweep_names_once_the_vessels_that_are_far_off_the_list(tmp_path, caps
     axis = '[[axes]]\npath = "blood.tuning.capillary_stiffness_n_per_m"\nvalues = [1e-6, 1e5, 1e-5]\n'
     (tmp_path / "far.toml").write_text(f'schema_version = 1\nbase = "prototype"\n{axis}')
     assert cli.run(["batch", str(tmp_path / "far.toml"), "--dry-run"]) == 0
-    said = capsys.readouterr().err
-    assert said.count("more than 100 times off the paper's list") == 1
-    assert "= 1e-06 (listed 100000)" in said and "= 1e-05 (listed 100000)" in said
+    err = capsys.readouterr().err
+    assert err.count("more than 100 times off the paper's list") == 1
+    assert "= 1e-06 (listed 100000)" in err and "= 1e-05 (listed 100000)" in err
 
 
 def test_failures_end_with_3_and_stand_on_the_page(jit_backend, here, tmp_path, capsys):

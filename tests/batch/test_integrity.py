@@ -50,9 +50,9 @@ def rewritten(path: Path, **header) -> None:
 
 
 def again(calm: Calm, folder: Path, **options):
-    said: list[str] = []
-    outcome = run_batch(calm.sweep, folder, workers=1, progress=lambda p: p.news and said.append(p.news), **options)
-    return outcome, said
+    news: list[str] = []
+    outcome = run_batch(calm.sweep, folder, workers=1, progress=lambda p: p.news and news.append(p.news), **options)
+    return outcome, news
 
 
 def test_results_of_another_seed_or_version_are_made_again(calm, used, caplog):
@@ -67,8 +67,8 @@ def test_results_of_another_seed_or_version_are_made_again(calm, used, caplog):
     opened = nail.open_results(used)
     assert sorted(opened.state.values)[-3:] == ["foreign"] * 3 and "3 results" in caplog.text
     assert np.isnan(opened.detected_fraction_rest[opened.state == "foreign"]).all()
-    outcome, said = again(calm, used)
-    assert (len(outcome.done), len(outcome.kept)) == (3, 27) and sum("another seed's" in line for line in said) == 3
+    outcome, news = again(calm, used)
+    assert (len(outcome.done), len(outcome.kept)) == (3, 27) and sum("another seed's" in line for line in news) == 3
     assert bits(used) == calm.bits
 
 
@@ -202,8 +202,8 @@ def test_what_another_program_made_is_made_again(calm, used, monkeypatch, caplog
     monkeypatch.setattr(folders, "program_digest", lambda code, assets: "another program")
     assert (status(used).foreign, status(used).left, status(used).other_versions) == (30, 30, "")
     assert (nail.open_results(used).state == "done").all() and "and is another prog here" in caplog.text
-    outcome, said = again(calm, used)
-    assert (len(outcome.done), len(outcome.kept)) == (30, 0) and "or program's; made again" in said[0]
+    outcome, news = again(calm, used)
+    assert (len(outcome.done), len(outcome.kept)) == (30, 0) and "or program's; made again" in news[0]
     assert status(used).done == 30 and not set(bits(used).values()) & set(calm.bits.values())
 
 

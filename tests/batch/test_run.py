@@ -135,11 +135,11 @@ def test_a_scene_that_kills_its_worker_again_and_again_fails_alone(jit_backend, 
     sweep = phantoms(tmp_path, 3)
     endless = sweep.scenes[2].model_copy(update={"accuracy": Accuracy(photons=10_000_000_000)})
     sweep = Sweep(sweep.name, sweep.axes, sweep.dims, (*sweep.scenes[:2], endless))
-    last, said = [time.time()], []
+    last, news = [time.time()], []
 
     def kill(p: BatchProgress) -> None:
         if p.news:
-            said.append(p.news)
+            news.append(p.news)
             last[0] = time.time()
         if p.done == 2 and time.time() - last[0] > 1.5 and children():
             last[0] = time.time()
@@ -148,7 +148,7 @@ def test_a_scene_that_kills_its_worker_again_and_again_fails_alone(jit_backend, 
     with pytest.raises(NotReachedError, match="killed 2 times") as caught:
         run_batch(sweep, tmp_path / "b", workers=1, progress=kill)
     assert len(caught.value.result.done) == 2 and len(caught.value.result.failed) == 1
-    assert any("tried again" in line for line in said)
+    assert any("tried again" in line for line in news)
     assert len(status(tmp_path / "b").failed) == 1
 
 
@@ -244,11 +244,11 @@ def test_a_damaged_result_and_damaged_light_are_detected_reported_and_computed_a
     for light in lights:
         light.write_bytes(light.read_bytes()[:200])
     assert status(tmp_path / "b").corrupt == 2
-    said = []
-    outcome = run_batch(sweep, tmp_path / "b", workers=1, progress=lambda p: p.news and said.append(p.news))
+    news = []
+    outcome = run_batch(sweep, tmp_path / "b", workers=1, progress=lambda p: p.news and news.append(p.news))
     assert bits(tmp_path / "b") == before
     assert len(outcome.done) == len(outcome.kept) == len(outcome.corrupt) == 2
-    assert sum("damaged" in line for line in said) == 2 and caplog.text.count("traced again") == 2
+    assert sum("damaged" in line for line in news) == 2 and caplog.text.count("traced again") == 2
 
 
 def test_a_failed_scene_is_recorded_and_retried_on_request(jit_backend, here, tmp_path):

@@ -37,14 +37,14 @@ def main() -> None:
         for key, tracer in tracers.items():
             batches[key].append(tracer.batch(paths=PATHS, seed=int(next(seeds))))
     for steps, scene in scenes.items():
-        seen = nail.trace(scene, relative_error=0.005, seed=2).at().isel(led=0)
-        ours, error = seen.detected_fraction.values, seen.detected_fraction_stderr.values
+        light = nail.trace(scene, relative_error=0.005, seed=2).at().isel(led=0)
+        ours, error = light.detected_fraction.values, light.detected_fraction_stderr.values
         result = [np.stack(batches[steps, group]) for group in GROUPS]
         other = np.concatenate([rows.mean(0) for rows in result])
         other_error = np.concatenate([rows.std(0, ddof=1) / np.sqrt(len(rows)) for rows in result])
         print(f"{'with' if steps else 'without'} index steps, {len(result[0])} batches of {PATHS} paths")
         away = (ours - other) / np.hypot(error, other_error)
-        for name, a, da, b, db, z in zip(seen.photodiode.values, ours, error, other, other_error, away, strict=True):
+        for name, a, da, b, db, z in zip(light.photodiode.values, ours, error, other, other_error, away, strict=True):
             print(f"  {name:<12} photons {a:.4e} +- {da / a:.1%}   volpath {b:.4e} +- {db / b:.1%}   {z:+.1f} errors")
         ratio, spread = ours / other, np.hypot(error / ours, other_error / other)
         weight = spread**-2 / np.sum(spread**-2)

@@ -86,9 +86,10 @@ def press(scene: nail.Scene) -> None:
     states = np.stack([0.03 * (1 + 0.8 * np.sin(6 * t)), 0.03 * (1 + 0.9 * np.cos(9 * t))], -1)
     start = time.perf_counter()
     readings_over_states(transfer, states)
-    seen = sum(len(trace.weight) for trace in transfer.traces)
+    detected = sum(len(trace.weight) for trace in transfer.traces)
     print(
-        f"press        10 000 states x 3 LEDs x 8 photodiodes in {time.perf_counter() - start:.2f} s ({seen} photons)"
+        f"press        10 000 states x 3 LEDs x 8 photodiodes in {time.perf_counter() - start:.2f} s "
+        f"({detected} photons)"
     )
 
 

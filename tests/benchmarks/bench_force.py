@@ -166,8 +166,8 @@ class Bench:
             rows.setdefault((site, kind), []).append(numbers)
             yield line(name, site, kind, numbers) + ("" if one.consistent else "  flagged")
         for (site, kind), several in rows.items():
-            seen = [column[np.isfinite(column)] for column in np.array(several).T]
-            yield line("median", site, kind, [np.median(one) if one.size else np.nan for one in seen])
+            finite = [column[np.isfinite(column)] for column in np.array(several).T]
+            yield line("median", site, kind, [np.median(one) if one.size else np.nan for one in finite])
         yield "required of medians: " + "; ".join(GOALS)
 
     def keep(self, path: Path | None) -> None:

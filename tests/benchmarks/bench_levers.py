@@ -54,13 +54,15 @@ def slab(seed: int, next_event: bool, importance: bool, quasi: bool) -> mi.Float
         leaves = step > surface
         absorption_path -= dr.minimum(step, surface)
         x, y = p.x + w.x * surface, p.y + w.y * surface
-        seen = leaves & (w.z < 0) & (absorption_path > 0) & (x > LOW[0]) & (x < HIGH[0]) & (y > LOW[1]) & (y < HIGH[1])
+        detected = (
+            leaves & (w.z < 0) & (absorption_path > 0) & (x > LOW[0]) & (x < HIGH[0]) & (y > LOW[1]) & (y < HIGH[1])
+        )
         if dr.hint(not next_event, mode="scalar"):
-            score += dr.select(seen, F(1), 0)
+            score += dr.select(detected, F(1), 0)
         elif dr.hint(importance, mode="scalar"):
             # As likely chosen by a point on the aperture: distance^2 / cosine, of 1 mm^2.
             by_area = surface * surface / -w.z
-            score += dr.select(seen, density / (density + by_area), 0)
+            score += dr.select(detected, density / (density + by_area), 0)
         p = at
         active &= ~leaves & (absorption_path > 0)
         if dr.hint(next_event, mode="scalar"):

@@ -92,10 +92,12 @@ def plain(program: Path, *, photons: int, seed: int) -> Run:
 def ours(*, photons: int, seed: int, backend: str) -> Run:
     start, cpu = time.perf_counter(), time.process_time()
     transfer = nail.trace(parse_scene(SCENE), photons=photons, seed=seed, backend=backend)
-    seen = transfer.at().squeeze()
+    light = transfer.at().squeeze()
     # The reading is part of the cost.
     cpu, wall = time.process_time() - cpu, time.perf_counter() - start
-    return Run(photons, transfer.events, float(seen.detected_fraction), float(seen.detected_fraction_stderr), cpu, wall)
+    return Run(
+        photons, transfer.events, float(light.detected_fraction), float(light.detected_fraction_stderr), cpu, wall
+    )
 
 
 def main() -> int:

@@ -40,7 +40,7 @@ from nailoptics.studies.simulate import simulate_from
 sys.path += [str(Path(__file__).parents[up] / folder) for up, folder in ((1, ""), (2, "scenes/subjects"))]
 
 from record import RTOL, protocol_of  # noqa: E402
-from worn_prototype import computed_n, known_exactly, played, worn  # noqa: E402
+from worn_prototype import computed_n, exactly_calibrated, played, worn  # noqa: E402
 
 FORCE_N, WITHIN = 0.5, 1.3
 HOW = ("known", "calibrated", "filter")
@@ -67,7 +67,7 @@ def errors_n(scene: Scene, guess: tuple[Scene, ReadingTable], seed: int, given: 
     own = parse_subject(calibrate_with(*guess, [calibration]).attrs["subject"])
     squares: dict[str, list[float]] = {how: [] for how in HOW}
     for one in records:
-        known = predict(known_exactly(scene, touches, table, one), one)
+        known = predict(exactly_calibrated(scene, touches, table, one), one)
         read = predict(own, one)
         for how, force_n in zip(HOW, (known.force_n, read.force_n, read.force_filter_n), strict=True):
             off_n = (force_n.values - known.known_force_n.values)[known.known_force_n.values >= TOUCH_N]
@@ -107,8 +107,8 @@ def main() -> None:
         ratios = (
             f"{how} {row[how] / row['computed']:.2f} +- {row[how + '_stderr'] / row['computed']:.2f}" for how in HOW
         )
-        said = f"{row['quality']:.0%} of held-out touches"
-        print(f"person_{k + 1:<3} computed {1e3 * row['computed']:4.0f} mN; {', '.join(ratios)}; {said}", flush=True)
+        quality = f"{row['quality']:.0%} of held-out touches"
+        print(f"person_{k + 1:<3} computed {1e3 * row['computed']:4.0f} mN; {', '.join(ratios)}; {quality}", flush=True)
     print("\n".join(summary(rows)))
     if given.json:
         given.json.write_text(json.dumps(rows), encoding="utf-8")

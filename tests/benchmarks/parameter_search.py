@@ -67,7 +67,7 @@ _SMALLEST_STEP = 2e-3
 
 
 @dataclasses.dataclass(frozen=True)
-class Found:
+class SearchResult:
     """The best pair of sets of a search. met : rules met of all. loss : the objective. pairs : number tried."""
 
     simulation: Parameters
@@ -156,7 +156,7 @@ def search(
     factor: float = 10.0,
     start: tuple[Parameters, Parameters] | None = None,
     step: float = 0.3,
-) -> Found:
+) -> SearchResult:
     """The best pair that evolutions find in a time, each value within a factor of the listed one.
 
     seed : Of the random numbers. max_seconds : Wall time. population : Pairs in each generation, 6 or more.
@@ -197,7 +197,7 @@ def search(
         for name, values in zip((SIMULATION, SUBJECT), values_of(rounded), strict=True)
     )
     _LOG.info("search with seed %d: %d of %d rules met after %d pairs", seed, met, len(RULES), tried)
-    return Found(*pair_of(rounded[:, 0]), met, float(loss_of_pairs(rounded)[0]), tried)
+    return SearchResult(*pair_of(rounded[:, 0]), met, float(loss_of_pairs(rounded)[0]), tried)
 
 
 def _evolve(

@@ -52,10 +52,10 @@ def render(folder, tmp_path, *, spp: int, **photodiodes: str) -> np.ndarray:
 
 def test_plain_mitsuba_renders_the_very_scene_of_our_engine(scene, folder, tmp_path):
     """Pixel by pixel the same bits, so that nothing is lost on the way through files."""
-    seen = as_seen(scene, reflecting=True)
-    geometry = build(seen)
+    exported = as_seen(scene, reflecting=True)
+    geometry = build(exported)
     colours = {face.region: [float(k % 3 == c) for c in range(3)] for k, face in enumerate(geometry.photodiodes)}
-    media = optics.finger_media(seen, geometry.regions, seen.leds[0].wavelength_nm)
+    media = optics.finger_media(exported, geometry.regions, exported.leds[0].wavelength_nm)
     with stock_mitsuba(backend.choose("scalar", volpath=True)) as mi:
         led = geometry.leds[0].region
         made = finger_scene(None, geometry, media, None, sensor=led, emitters=colours, folder=tmp_path)

@@ -135,9 +135,9 @@ def test_the_page_lists_the_approximations_of_this_scene(oximeter, folder, geome
 
 
 def test_the_scene_beside_it_is_the_one_that_mmc_gets(oximeter, folder):
-    seen = load_scene(folder / "scene.toml")
-    assert seen.board.opaque_reflectance == 0 and {led.fwhm_nm for led in seen.leds} == {0.0}
-    assert seen.finger == oximeter.finger and seen.photodiodes == oximeter.photodiodes
+    exported = load_scene(folder / "scene.toml")
+    assert exported.board.opaque_reflectance == 0 and {led.fwhm_nm for led in exported.leds} == {0.0}
+    assert exported.finger == oximeter.finger and exported.photodiodes == oximeter.photodiodes
 
 
 def test_a_phantom_is_refused(tmp_path):

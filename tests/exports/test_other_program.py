@@ -70,14 +70,14 @@ def test_a_change_that_few_photons_carry_has_no_error(scene):
     """Rationale: records of one photon at several photodiodes are one term of a sum. Expected: of a change that 20
     photons carry, seen by all eight photodiodes, the standard error is NaN; of one that 100 carry, it is a number."""
 
-    def seen_by_all(carriers: int) -> LedTrace:
+    def detected_by_all(carriers: int) -> LedTrace:
         photon = np.append(np.repeat(np.arange(1000), 8), np.arange(1000, 2000))
         which = np.arange(len(photon)) % 8
         paths = np.zeros((len(photon), 8), np.float32)
         paths[photon < carriers, 1:4] = 1.0
         return LedTrace(PHOTONS, np.zeros(8), photon, which, np.ones(len(photon)), paths, {}, (1,))
 
-    result = compared(seen_by_all(100), OtherDetection("other", scene, 0, seen_by_all(20)))
+    result = compared(detected_by_all(100), OtherDetection("other", scene, 0, detected_by_all(20)))
     assert all(np.isfinite(pair.ours_stderr) and np.isnan(pair.theirs_stderr) for pair in result.changes.values())
 
 

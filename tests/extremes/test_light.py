@@ -234,15 +234,15 @@ def test_pure_blood_read_from_a_trace_at_rest_is_that_of_a_new_one(finger):
 @jit
 def test_the_ends_of_the_spectrum_are_traced(jit_backend):
     """Expected: at 400 nm blood and melanin take what comes back at 1000 nm, to the last tenth."""
-    scene, seen = prototype_with(), []
+    scene, results = prototype_with(), []
     for wavelength_nm in (400.0, 1000.0):
         leds = tuple(led.model_copy(update={"wavelength_nm": wavelength_nm}) for led in scene.leds)
         transfer = nail.trace(scene.model_copy(update={"leds": leds}), photons=30_000)
         parts = transfer.energy()
         assert sum(p["value"] for p in parts.values()) == pytest.approx(1) and abs(parts["lost"]["value"]) < 1e-3
-        seen.append((parts["reflected"]["value"], transfer.at().detected_fraction.values))
-    (blue, blue_seen), (infrared, infrared_seen) = seen
-    assert 0 < blue < 0.1 * infrared and (blue_seen < 0.5 * infrared_seen).all() and (blue_seen > 0).all()
+        results.append((parts["reflected"]["value"], transfer.at().detected_fraction.values))
+    (blue, blue_detected), (infrared, infrared_detected) = results
+    assert 0 < blue < 0.1 * infrared and (blue_detected < 0.5 * infrared_detected).all() and (blue_detected > 0).all()
 
 
 @pytest.mark.long

@@ -51,8 +51,8 @@ def test_over_a_photodiode_the_map_reads_what_the_photodiode_reads(scene, arriva
     areas = list(scene.layout.photodiode_areas)
     point = blood_point(scene, 0)
     mean, error = together(arrivals, point, areas)
-    seen = readings_over_states(transfer, np.array([[0.03, 0.03]]))
-    expected, spread = seen.fraction[0, :, 0], seen.stderr[0, :, 0]
+    series = readings_over_states(transfer, np.array([[0.03, 0.03]]))
+    expected, spread = series.fraction[0, :, 0], series.stderr[0, :, 0]
     assert np.all(np.abs(mean[:, 0] - expected) < 4 * np.hypot(error[:, 0], spread))
     assert np.all(np.hypot(error[:, 0], spread) < [0.03, 0.06] * expected)
 
@@ -65,8 +65,8 @@ def test_sensitivities_are_the_finite_differences_of_a_trace(scene, arrivals, tr
     for zone in range(2):
         step = np.zeros(2)
         step[zone] = 3e-4
-        seen = readings_over_states(transfer, np.array([0.03 - step / 2, 0.03 + step / 2]))
-        slope, spread = (part[0, :, 1] / 3e-4 for part in (seen.change, seen.change_stderr))
+        series = readings_over_states(transfer, np.array([0.03 - step / 2, 0.03 + step / 2]))
+        slope, spread = (part[0, :, 1] / 3e-4 for part in (series.change, series.change_stderr))
         assert np.all(np.abs(mean[:, 2 + zone] - slope) < 4 * np.hypot(error[:, 2 + zone], spread))
         assert np.all(np.hypot(error[:, 2 + zone], spread) < 0.1 * np.abs(mean[:, 2:].sum(1)))
 
@@ -84,8 +84,8 @@ def test_sensitivities_are_the_finite_differences_of_fresh_traces(scene, arrival
     for blood in (0.01, 0.05):
         at = scene.model_copy(update={"blood": scene.blood.model_copy(update={"rest_blood_fraction": blood})})
         tracer, point = BoardTracer(at), blood_point(at, 0)
-        seen = [tracer.detected(0, point, photons=tracer.batch_photons, seed=70 + i)[:, 0] for i in range(BATCHES)]
-        each.append(np.array(seen))
+        fractions = [tracer.detected(0, point, photons=tracer.batch_photons, seed=70 + i)[:, 0] for i in range(BATCHES)]
+        each.append(np.array(fractions))
     difference = (each[1] - each[0]) / 0.04
     spread = difference.std(0, ddof=1) / np.sqrt(BATCHES)
     # Few batches know their own spread badly; the map's slopes come from as many photons.
@@ -100,9 +100,9 @@ def test_a_fresh_trace_with_more_blood_reads_what_the_map_predicts(scene, arriva
     mean, error = together(arrivals, blood_point(scene, 0, blood_fraction=blood), list(scene.layout.photodiode_areas))
     more = scene.model_copy(update={"blood": scene.blood.model_copy(update={"rest_blood_fraction": 0.05})})
     fresh = nail.trace(more, photons=1 << 17, seed=11)
-    seen = readings_over_states(fresh, np.array([blood]))
-    noise = np.hypot(error[:, 0], seen.stderr[0, :, 0])
-    assert np.all(np.abs(mean[:, 0] - seen.fraction[0, :, 0]) < 4 * noise)
+    series = readings_over_states(fresh, np.array([blood]))
+    noise = np.hypot(error[:, 0], series.stderr[0, :, 0])
+    assert np.all(np.abs(mean[:, 0] - series.fraction[0, :, 0]) < 4 * noise)
     assert np.all(noise < [0.04, 0.07] * mean[:, 0])
 
 
@@ -263,8 +263,8 @@ def test_a_turned_photodiode_reads_the_map_over_its_rectangle(scene, arrivals, c
     one = scene.model_copy(update={"photodiodes": (scene.photodiodes[0].model_copy(update=turned),)})
     (area,) = one.layout.photodiode_areas
     mean, error = together(arrivals, blood_point(scene, 0), [area])
-    seen = readings_over_states(nail.trace(one, photons=1 << 18, seed=21), np.array([[0.03, 0.03]]))
-    expected, spread = seen.fraction[0, 0, 0], seen.stderr[0, 0, 0]
+    series = readings_over_states(nail.trace(one, photons=1 << 18, seed=21), np.array([[0.03, 0.03]]))
+    expected, spread = series.fraction[0, 0, 0], series.stderr[0, 0, 0]
     assert abs(mean[0, 0] - expected) < 4 * np.hypot(error[0, 0], spread)
     assert np.hypot(error[0, 0], spread) < 0.04 * expected
     # Straight, it would read otherwise by far more than that.

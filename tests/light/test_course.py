@@ -22,7 +22,7 @@ def scene(*, wavelength_nm: float = 800.0, blood: str = "") -> Scene:
     return parse_scene(finger(near, far, leds=({"wavelength_nm": wavelength_nm, "fwhm_nm": 30.0},)) + blood)
 
 
-def made_up(records: int = 20_000, *, path_mm: float = 8.0, blood: str = "") -> Transfer:
+def synthetic(records: int = 20_000, *, path_mm: float = 8.0, blood: str = "") -> Transfer:
     """A trace of which nothing is known but its statistics: long-tailed paths in all zones, two photodiodes."""
     rng = np.random.default_rng(1)
     varied = scene(blood=blood)
@@ -68,7 +68,7 @@ def random_states(count: int, *, low: float = 0.0, high: float = 0.1, seed: int 
 def test_between_nodes_interpolated_readings_are_those_of_each_state_alone(high):
     """Expected: fraction, change and their errors at random states as evaluated one by one, to far less than the
     standard error; the states are so many that they are interpolated, and read directly they are few."""
-    transfer = made_up()
+    transfer = synthetic()
     states = random_states(2000, low=0.02, high=high)
     smooth = readings_over_states(transfer, states)
     for k in (0, 1, 500, 1999):
@@ -85,12 +85,12 @@ def test_between_nodes_interpolated_readings_are_those_of_each_state_alone(high)
 def test_joint_zones_and_arterial_blood_are_interpolated(monkeypatch, blood):
     """Expected: as each state reads on its own, to far less than the standard error, from fewer nodes than states."""
     text = '[blood]\nparameters = "best"\n' + blood + "\n[touch]\nforce_n = 4.0\nsample_rate_hz = 2000.0\n"
-    transfer, seen = made_up(5000, blood=text), []
+    transfer, calls = synthetic(5000, blood=text), []
     states = blood_over_touch(transfer.scene).blood_fraction.values.T
     sums = course_module._Course.sums
-    monkeypatch.setattr(course_module._Course, "sums", lambda c, s, *a: (seen.append(len(s)), sums(c, s, *a))[1])
+    monkeypatch.setattr(course_module._Course, "sums", lambda c, s, *a: (calls.append(len(s)), sums(c, s, *a))[1])
     smooth = readings_over_states(transfer, states)
-    assert sum(seen) < len(states) / 2
+    assert sum(calls) < len(states) / 2
     for k in (0, 505, 1200, 4490, 4600, 8000):
         fraction, stderr = read_alone(transfer, states[k])
         assert np.all(abs(smooth.fraction[:, :, k] - fraction) < 1e-3 * stderr)
@@ -102,7 +102,7 @@ def test_joint_zones_and_arterial_blood_are_interpolated(monkeypatch, blood):
 
 
 def test_one_zone_alone_may_move():
-    transfer = made_up()
+    transfer = synthetic()
     states = np.column_stack([np.linspace(0.01, 0.05, 300), np.full(300, 0.03)])
     smooth = readings_over_states(transfer, states)
     for k in (0, 123, 299):
@@ -110,19 +110,19 @@ def test_one_zone_alone_may_move():
 
 
 def test_states_that_are_all_alike_read_alike_and_do_not_change():
-    seen = readings_over_states(made_up(), np.full((50, 2), 0.03))
-    assert np.ptp(seen.fraction, axis=-1).max() == 0
-    assert np.all(seen.change == 0) and np.all(seen.change_stderr == 0) and np.all(seen.stderr > 0)
+    read = readings_over_states(synthetic(), np.full((50, 2), 0.03))
+    assert np.ptp(read.fraction, axis=-1).max() == 0
+    assert np.all(read.change == 0) and np.all(read.change_stderr == 0) and np.all(read.stderr > 0)
 
 
 def test_a_change_shares_its_noise_with_what_it_starts_from():
     """Rationale: both states are read from the same photons. Expected: a change of 10 % of the blood has less than a
     fifth of the readings' standard error, and resampling photons gives the error that is stated."""
-    transfer = made_up()
+    transfer = synthetic()
     states = np.array([[0.03, 0.03], [0.033, 0.03]])
-    seen = readings_over_states(transfer, states)
-    assert np.all(seen.change_stderr[..., 1] < 0.2 * seen.stderr[..., 1])
-    assert np.all(abs(seen.change[..., 1]) > 20 * seen.change_stderr[..., 1])
+    read = readings_over_states(transfer, states)
+    assert np.all(read.change_stderr[..., 1] < 0.2 * read.stderr[..., 1])
+    assert np.all(abs(read.change[..., 1]) > 20 * read.change_stderr[..., 1])
     trace = transfer.traces[0]
     slope = optics.absorption(transfer.scene, 800.0, blood_fraction=states)[:, 0] - trace.mu_a
     rng, result = np.random.default_rng(4), []
@@ -132,15 +132,15 @@ def test_a_change_shares_its_noise_with_what_it_starts_from():
         count = rng.poisson(1.0, mine.sum())
         result.append(float(count @ (weight[:, 1] - weight[:, 0])) / trace.photons)
     # The line of 30 nm hardly matters for the spread; 400 resamplings know a spread to 3.5 %.
-    assert np.std(result) == pytest.approx(float(seen.change_stderr[0, 0, 1]), rel=0.15)
+    assert np.std(result) == pytest.approx(float(read.change_stderr[0, 0, 1]), rel=0.15)
 
 
 def test_electrons_weigh_wavelengths_by_photons_per_watt():
     """A watt at wavelength l holds l / 800 times the photons of one at 800 nm; over a symmetrical line nearly nothing
     is left of it, and what is left is what the sum over the line says."""
-    transfer = made_up()
+    transfer = synthetic()
     state = np.array([[0.03, 0.05]])
-    seen = readings_over_states(transfer, state).fraction[0, :, 0]
+    read = readings_over_states(transfer, state).fraction[0, :, 0]
     wavelength, share = optics.spectrum(transfer.scene.leds[0])
     trace = transfer.traces[0]
     mu_a = optics.absorption(transfer.scene, wavelength, blood_fraction=state[0]) - trace.mu_a
@@ -149,27 +149,27 @@ def test_electrons_weigh_wavelengths_by_photons_per_watt():
         np.bincount(trace.photodiode, trace.weight * (factor @ weights), minlength=2) / trace.photons
         for weights in (share * wavelength / 800.0, share)
     )
-    assert np.allclose(seen, weighted, rtol=1e-9)
-    assert np.all(seen != plain) and np.allclose(seen, plain, rtol=0.01)
+    assert np.allclose(read, weighted, rtol=1e-9)
+    assert np.all(read != plain) and np.allclose(read, plain, rtol=0.01)
 
 
 def test_ten_thousand_states_take_little_longer_than_a_hundred():
     """A whole press takes about a second, also where two other processes have the machine."""
-    transfer = made_up(100_000)
+    transfer = synthetic(100_000)
     t = np.linspace(0, 1, 10_000)
     states = np.column_stack([0.03 - 0.02 * np.sin(9 * t) ** 2, 0.03 + 0.01 * np.sin(5 * t) ** 2])
     took = {}
     for count in (100, 10_000):
         start = time.process_time()
-        seen = readings_over_states(transfer, states[:: len(states) // count])
+        read = readings_over_states(transfer, states[:: len(states) // count])
         took[count] = time.process_time() - start
-        assert seen.fraction.shape == (1, 2, count)
+        assert read.fraction.shape == (1, 2, count)
     assert took[10_000] < 5 and took[10_000] < 4 * took[100] + 1
 
 
 def test_reweighting_to_states_too_far_away_warns():
     """Even where only one state of many is, and only between nodes; nearer ones say nothing (warnings are errors)."""
-    trace = made_up(600)
+    trace = synthetic(600)
     readings_over_states(trace, random_states(50, high=0.1))
     states = np.full((200, 2), 0.03)
     states[77] = 1.0
@@ -180,16 +180,16 @@ def test_reweighting_to_states_too_far_away_warns():
 def test_states_of_the_wrong_shape_are_refused_in_one_line():
     for states in (np.zeros(2), np.zeros((3, 3)), np.zeros((0, 2)), np.zeros((2, 2, 2))):
         with pytest.raises(InputError, match="one value for each zone") as caught:
-            readings_over_states(made_up(10), states)
+            readings_over_states(synthetic(10), states)
         assert "\n" not in str(caught.value)
     for value in (-0.01, 1.01, float("nan")):
         with pytest.raises(InputError, match="0 to 1"):
-            readings_over_states(made_up(10), np.full((3, 2), value))
+            readings_over_states(synthetic(10), np.full((3, 2), value))
 
 
 def test_a_trace_without_detected_light_reads_zero():
-    seen = readings_over_states(made_up(0), random_states(500))
-    assert seen.fraction.shape == (1, 2, 500) and not seen.fraction.any() and not seen.stderr.any()
+    read = readings_over_states(synthetic(0), random_states(500))
+    assert read.fraction.shape == (1, 2, 500) and not read.fraction.any() and not read.stderr.any()
 
 
 @pytest.mark.long

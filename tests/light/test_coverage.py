@@ -244,7 +244,7 @@ def stopped(seed: int, target: float) -> tuple[float, float]:
     return float(total / trace.photons / Urn.truth - 1), float(error)
 
 
-def stopped_by_luck(seed: int, target: float) -> tuple[float, float]:
+def stopped_by_few_batches(seed: int, target: float) -> tuple[float, float]:
     """The same by a rule that stops as soon as a few small batches happen to lie close together."""
     urn, seeds = Urn(), np.random.default_rng(seed)
     count, total, square, error = 0, 0.0, 0.0, math.inf
@@ -257,7 +257,7 @@ def stopped_by_luck(seed: int, target: float) -> tuple[float, float]:
     return total / count / Urn.truth - 1, max(error, 1e-9)
 
 
-def honest(rule: Callable[[int, float], tuple[float, float]], *, runs: int, target: float) -> bool:
+def is_calibrated(rule: Callable[[int, float], tuple[float, float]], *, runs: int, target: float) -> bool:
     """Whether stopped runs lie a tenth of their error from the truth on average at most, and intervals cover it."""
     off, error = np.array([rule(seed, target) for seed in range(runs)]).T
     z = np.abs(off / error)
@@ -273,5 +273,5 @@ def test_stopping_at_a_tolerance_does_not_bias_the_result():
     """Rationale: who stops as soon as the estimated error is small enough prefers runs that err low by chance.
     Expected: the mean of many stopped runs is off by less than a tenth of one run's standard error; intervals cover;
     and the same test finds out a rule that trusts the spread of two batches."""
-    assert honest(stopped, runs=600, target=0.05)
-    assert not honest(stopped_by_luck, runs=300, target=0.05)
+    assert is_calibrated(stopped, runs=600, target=0.05)
+    assert not is_calibrated(stopped_by_few_batches, runs=300, target=0.05)

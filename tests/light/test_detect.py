@@ -60,28 +60,30 @@ def test_between_the_states_light_dims_as_in_beer_lambert():
     ratio = np.exp(-(corners - corners[0]) @ slope)[None, None]
     blood = np.random.default_rng(1).uniform(0.01, 0.05, (20, 2))
     blood[0] = [0.03, 0.03]
-    seen = between(blood, corners, ratio)
+    series = between(blood, corners, ratio)
     exact = 1e-3 * np.exp(-(blood - 0.03) @ slope)
-    assert np.allclose(seen.fraction[0, 0], exact, rtol=1e-12)
-    assert np.allclose(seen.change[0, 0], exact - 1e-3, atol=1e-15)
-    assert seen.change_stderr[0, 0, 0] == 0 and np.all(seen.stderr >= 0.05 * seen.fraction)
-    assert np.all(seen.change_stderr[..., 1:] < seen.stderr[..., 1:])
+    assert np.allclose(series.fraction[0, 0], exact, rtol=1e-12)
+    assert np.allclose(series.change[0, 0], exact - 1e-3, atol=1e-15)
+    assert series.change_stderr[0, 0, 0] == 0 and np.all(series.stderr >= 0.05 * series.fraction)
+    assert np.all(series.change_stderr[..., 1:] < series.stderr[..., 1:])
 
 
 def test_a_change_is_counted_from_the_first_state_wherever_that_lies():
     """The first state of a course need not be the corner; the error grows with the way from it, in each zone."""
     corners = np.array([[0.03, 0.03], [0.05, 0.03], [0.03, 0.01]])
     ratio = np.array([[[1.0, 0.98, 1.01]]])
-    seen = between(np.array([[0.05, 0.01], [0.03, 0.03], [0.05, 0.01]]), corners, ratio)
-    assert seen.change_stderr[0, 0, 0] == seen.change_stderr[0, 0, 2] == 0 == seen.change[0, 0, 2]
-    assert seen.change_stderr[0, 0, 1] > 1e-3 * 0.001
+    series = between(np.array([[0.05, 0.01], [0.03, 0.03], [0.05, 0.01]]), corners, ratio)
+    assert series.change_stderr[0, 0, 0] == series.change_stderr[0, 0, 2] == 0 == series.change[0, 0, 2]
+    assert series.change_stderr[0, 0, 1] > 1e-3 * 0.001
 
 
 def test_an_unlit_photodiode_has_an_unknown_error():
     corners = np.array([[0.03, 0.03], [0.05, 0.03], [0.03, 0.01]])
     ones = np.ones((1, 3))
-    seen = read_between([StateReadings(0 * ones, np.inf * ones, ones, np.inf * ones, 1, None, False)], corners, corners)
-    assert np.all(seen.fraction == 0) and not np.isfinite(seen.stderr).any()
+    series = read_between(
+        [StateReadings(0 * ones, np.inf * ones, ones, np.inf * ones, 1, None, False)], corners, corners
+    )
+    assert np.all(series.fraction == 0) and not np.isfinite(series.stderr).any()
     assert detect._reached(np.array([0.01, np.nan])) == "some photodiode detected no light or too few photons"
     assert "0.02" in detect._reached(np.array([0.01, 0.02]))
 
@@ -100,8 +102,8 @@ def test_fewer_than_25_photons_have_no_standard_error(photons, known):
         energy={},
         seeds=(1,),
     )
-    seen = detect.light_of(Transfer(scene, (trace,), "llvm")).readings_at(np.full((2, 2), 0.03))
-    assert np.all(seen.fraction > 0) and np.all(np.isfinite(seen.stderr) == known)
+    series = detect.light_of(Transfer(scene, (trace,), "llvm")).readings_at(np.full((2, 2), 0.03))
+    assert np.all(series.fraction > 0) and np.all(np.isfinite(series.stderr) == known)
 
 
 @pytest.mark.long

@@ -53,7 +53,7 @@ def test_photons_and_volpath_read_the_same_on_a_photodiode_of_the_finger(jit_bac
     large = {"elements": 1, "size_mm": (1.0, 4.0), "wired": (0,), "position_mm": (0.0, 0.0)}
     board = scene.board.model_copy(update={"air_gap_um": air_gap_um})
     scene = scene.model_copy(update={"board": board, "photodiodes": (scene.photodiodes[0].model_copy(update=large),)})
-    seen = nail.trace(scene, relative_error=0.015, seed=1).at().isel(led=0, photodiode=0)
+    reading = nail.trace(scene, relative_error=0.015, seed=1).at().isel(led=0, photodiode=0)
     shape = geometry.build(scene)
     result = optics.finger_media(scene, shape.regions, 800.0)
     v = np.linspace(*(np.asarray(shape.bounds_mm)[:, 1] + [-0.2, 0.2]), 101)
@@ -68,8 +68,8 @@ def test_photons_and_volpath_read_the_same_on_a_photodiode_of_the_finger(jit_bac
     with readings.stock_mitsuba(backend.choose("auto", volpath=True), readings.SPECTRAL):
         batches = np.array([traced.batch(paths=2304, seed=seed_of(2, k))[0] for k in range(22)])
     other, error = batches.mean(), batches.std(ddof=1) / np.sqrt(len(batches))
-    assert error < 0.03 * other and seen.detected_fraction_stderr < 0.03 * seen.detected_fraction
-    assert abs(seen.detected_fraction - other) < 3 * np.hypot(error, seen.detected_fraction_stderr)
+    assert error < 0.03 * other and reading.detected_fraction_stderr < 0.03 * reading.detected_fraction
+    assert abs(reading.detected_fraction - other) < 3 * np.hypot(error, reading.detected_fraction_stderr)
 
 
 @pytest.mark.slow
@@ -230,8 +230,8 @@ def test_the_same_seed_gives_the_same_bits_and_another_one_others(jit_backend, m
 def test_the_board_bends_no_light_to_one_side(traced):
     """Elements that mirror each other in the LED's place read alike: the finger's taper matters less than the noise."""
     scene = prototype()
-    seen = traced.at().isel(led=0)
-    value, stderr = seen.detected_fraction.values, seen.detected_fraction_stderr.values
+    read = traced.at().isel(led=0)
+    value, stderr = read.detected_fraction.values, read.detected_fraction_stderr.values
     mirrored = [p.wired for p in scene.photodiodes]
     if mirrored[0] != tuple(15 - k for k in reversed(mirrored[1])):
         pytest.fail("the prototype's wiring is no longer symmetrical; choose mirrored elements here")

@@ -99,10 +99,10 @@ def test_a_photodiode_sized_reading_meets_mesh_and_plain_monte_carlo(jit_backend
     """Reference: 8.977(9)e-3 through the square and mean path 6.098(3) mm, R .521588, T .015927, by two codes each."""
     scene = stack(layer(thickness=10.0, mu_a=0.05, mu_s=10.0, g=0.9), photodiodes=[SQUARE])
     transfer = nail.trace(scene, photons=1 << 20, seed=3)
-    seen, energy = transfer.at().squeeze(), transfer.energy()
-    assert seen.detected_fraction_stderr < 0.003 * seen.detected_fraction
-    assert agree((seen.detected_fraction, seen.detected_fraction_stderr), (8.977e-3, 0.009e-3), within=3)
-    assert agree((seen.mean_path_mm, seen.mean_path_mm_stderr), (6.098, 0.003), within=3)
+    read, energy = transfer.at().squeeze(), transfer.energy()
+    assert read.detected_fraction_stderr < 0.003 * read.detected_fraction
+    assert agree((read.detected_fraction, read.detected_fraction_stderr), (8.977e-3, 0.009e-3), within=3)
+    assert agree((read.mean_path_mm, read.mean_path_mm_stderr), (6.098, 0.003), within=3)
     for part, exact in (("reflected", 0.521588), ("transmitted", 0.015927)):
         assert abs(energy[part]["value"] - exact) < 3 * energy[part]["stderr"] < 0.03 * exact
 
@@ -246,7 +246,7 @@ def test_arc_share_is_what_counting_azimuths_gives():
     rng = np.random.default_rng(5)
     azimuth = 2 * np.pi * (np.arange(20_000) + 0.5) / 20_000
     ring = np.stack([np.cos(azimuth), np.sin(azimuth)], -1)
-    seen = 0
+    partial = 0
     for _ in range(200):
         low, size = rng.uniform(-2, 2, 2), rng.uniform(0.05, 2, 2)
         x0, y0, x1, y1 = *low, *(low + size)
@@ -256,8 +256,8 @@ def test_arc_share_is_what_counting_azimuths_gives():
         share = arc_share(np.array([[0.0, radius]]), start, (x0, x1, y0, y1))
         # Each of up to eight crossings of the rectangle's edge is counted to one azimuth of 20 000.
         assert share[0] == pytest.approx(inside.mean(), abs=8 / 20_000)
-        seen += 0 < share[0] < 1
-    assert seen > 40
+        partial += 0 < share[0] < 1
+    assert partial > 40
 
 
 def test_arc_share_of_corner_cases_is_exact():
@@ -309,18 +309,18 @@ def test_each_layer_absorbs_by_lamberts_law(jit_backend):
 def test_photodiodes_at_one_distance_report_that_they_share_their_error(jit_backend):
     beside = SQUARE | {"name": "beside", "position_mm": [0.0, 2.0]}
     slab = layer(thickness=10.0, mu_a=0.05, mu_s=10.0, g=0.9)
-    seen = reading(stack(slab, photodiodes=[SQUARE, beside]), photons=1 << 16)
-    assert seen.detected_fraction[0] == pytest.approx(float(seen.detected_fraction[1]), rel=1e-6)
-    assert "Transfer.covariance" in seen.detected_fraction_stderr.attrs["comment"]
+    read = reading(stack(slab, photodiodes=[SQUARE, beside]), photons=1 << 16)
+    assert read.detected_fraction[0] == pytest.approx(float(read.detected_fraction[1]), rel=1e-6)
+    assert "Transfer.covariance" in read.detected_fraction_stderr.attrs["comment"]
     alone = reading(stack(slab, photodiodes=[SQUARE]), photons=1 << 12)
     assert "comment" not in alone.detected_fraction_stderr.attrs
 
 
 def test_averaging_over_azimuth_sharpens_a_distant_reading(jit_backend):
     scene = stack(layer(thickness=10.0, mu_a=0.05, mu_s=10.0, g=0.9), photodiodes=[SQUARE])
-    seen = reading(scene, photons=1 << 17)
-    analog = np.sqrt(seen.detected_fraction / (1 << 17))
-    assert seen.detected_fraction_stderr < 0.5 * analog
+    read = reading(scene, photons=1 << 17)
+    analog = np.sqrt(read.detected_fraction / (1 << 17))
+    assert read.detected_fraction_stderr < 0.5 * analog
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_one_others(jit_backend):

@@ -52,8 +52,8 @@ def test_the_error_that_stops_a_trace_is_the_one_that_is_read(jit_backend, monke
     monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 12)
     reports = []
     traced = nail.trace(scene, relative_error=target, seed=2, progress=reports.append)
-    seen = traced.at().squeeze()
-    error = float(seen.detected_fraction_stderr / seen.detected_fraction)
+    result = traced.at().squeeze()
+    error = float(result.detected_fraction_stderr / result.detected_fraction)
     assert error == pytest.approx(reports[-1].relative_error, rel=1e-9) and 0.5 * target < error <= target
 
 
@@ -63,8 +63,8 @@ def test_a_trace_out_of_time_reports_the_error_of_the_reading(jit_backend, monke
     reports = []
     with pytest.raises(NotReachedError, match="max_seconds") as caught:
         nail.trace(slab(), relative_error=1e-5, max_seconds=0.5, progress=reports.append)
-    seen = caught.value.result.at().squeeze()
-    error = float(seen.detected_fraction_stderr / seen.detected_fraction)
+    result = caught.value.result.at().squeeze()
+    error = float(result.detected_fraction_stderr / result.detected_fraction)
     assert error == pytest.approx(reports[-1].relative_error, rel=1e-9)
 
 
@@ -78,11 +78,11 @@ def plate_errors(traced: Transfer) -> list[float]:
     """Departures of a clear plate's reflectance in units of their errors, at rest and at two absorptions."""
     z = []
     for mu_a in (0.0, 0.01, 0.3):
-        seen = traced.at(mu_a_per_mm={"layer": mu_a}).squeeze()
-        z.append(float((seen.detected_fraction - plate(mu_a)) / seen.detected_fraction_stderr))
+        result = traced.at(mu_a_per_mm={"layer": mu_a}).squeeze()
+        z.append(float((result.detected_fraction - plate(mu_a)) / result.detected_fraction_stderr))
         if mu_a == 0.0:
             ideal = math.sqrt((1 / plate(0.0) - 1) / traced.photons)
-            error = float(seen.detected_fraction_stderr / seen.detected_fraction)
+            error = float(result.detected_fraction_stderr / result.detected_fraction)
             assert error == pytest.approx(ideal, rel=0.02)
     return z
 

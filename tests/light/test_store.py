@@ -122,9 +122,9 @@ def test_damaged_and_misplaced_files_are_named_and_traced_again(small_batches, s
     assert not same_bits(fresh, other)
     again = nail.trace(slab(), photons=PHOTONS, seed=3)
     assert same_bits(again, fresh) and again.reused_photons == PHOTONS
-    said = [record.getMessage() for record in caplog.records]
-    assert all(any(str(file) in line for line in said) for file in files), said
-    assert any("another light's" in line for line in said) and any("not an archive" in line for line in said)
+    messages = [record.getMessage() for record in caplog.records]
+    assert all(any(str(file) in line for line in messages) for file in files), messages
+    assert any("another light's" in line for line in messages) and any("not an archive" in line for line in messages)
     # The file that is a folder stays one; the others are whole again.
     caplog.clear()
     nail.trace(slab(), photons=PHOTONS, seed=3)

@@ -30,16 +30,16 @@ def slab(*, leds: int = 1, accuracy: str = "", square: float = 2.0) -> Scene:
 
 
 def error_of(transfer) -> float:
-    seen = transfer.at()
-    return float((seen.detected_fraction_stderr / seen.detected_fraction).max())
+    result = transfer.at()
+    return float((result.detected_fraction_stderr / result.detected_fraction).max())
 
 
 @pytest.mark.parametrize("target", [0.02, 0.003])
 def test_the_tolerance_is_met_and_not_far_overdone(jit_backend, monkeypatch, target):
     monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 14)
     transfer = nail.trace(slab(leds=2), relative_error=target, seed=4)
-    seen = transfer.at()
-    errors = (seen.detected_fraction_stderr / seen.detected_fraction).values
+    result = transfer.at()
+    errors = (result.detected_fraction_stderr / result.detected_fraction).values
     assert np.all(errors <= target)
     # What is needed is foreseen, in whole batches: never much more.
     assert np.all((errors > 0.8 * target) | (np.array([t.photons for t in transfer.traces]) <= 2 * (1 << 14)))
@@ -209,8 +209,8 @@ def test_impossible_demands_are_refused_in_one_line(jit_backend, options, field)
 
 
 def test_seeds_of_leds_and_batches_are_all_different():
-    seen = [seed for run in (0, 1) for led in range(3) for seed in (seed_of(run, led, batch) for batch in range(100))]
-    assert len(set(seen)) == len(seen)
+    seeds = [seed for run in (0, 1) for led in range(3) for seed in (seed_of(run, led, batch) for batch in range(100))]
+    assert len(set(seeds)) == len(seeds)
 
 
 @pytest.mark.jit

@@ -57,25 +57,25 @@ def test_sums_are_those_of_the_definition():
     """w exp(-sum mu_a L) over all emitted photons, its standard error, its mean path and its derivative."""
     rng = np.random.default_rng(0)
     weight, path = rng.uniform(0.5, 1, 400), rng.exponential(3.0, (400, 2)).astype(np.float32)
-    seen = by_hand(small(weight, path)).at(mu_a_per_mm={"upper": 0.02, "lower": 0.05}).squeeze()
+    result = by_hand(small(weight, path)).at(mu_a_per_mm={"upper": 0.02, "lower": 0.05}).squeeze()
     w = np.concatenate([weight * np.exp(-path @ np.array([0.02, 0.05])), np.zeros(600)])
     every = np.concatenate([path, np.zeros((600, 2))])
-    assert float(seen.detected_fraction) == pytest.approx(w.mean(), rel=1e-12)
-    assert float(seen.detected_fraction_stderr) == pytest.approx(w.std(ddof=1) / np.sqrt(1000), rel=1e-6)
-    assert float(seen.effective_photons) == pytest.approx(w.sum() ** 2 / (w**2).sum(), rel=1e-12)
-    assert seen.mean_path_mm.values == pytest.approx((w @ every) / w.sum(), rel=1e-6)
-    assert seen.derivative_mm.values == pytest.approx(-(w @ every) / 1000, rel=1e-6)
+    assert float(result.detected_fraction) == pytest.approx(w.mean(), rel=1e-12)
+    assert float(result.detected_fraction_stderr) == pytest.approx(w.std(ddof=1) / np.sqrt(1000), rel=1e-6)
+    assert float(result.effective_photons) == pytest.approx(w.sum() ** 2 / (w**2).sum(), rel=1e-12)
+    assert result.mean_path_mm.values == pytest.approx((w @ every) / w.sum(), rel=1e-6)
+    assert result.derivative_mm.values == pytest.approx(-(w @ every) / 1000, rel=1e-6)
     expected = (w[:, None] * every).std(axis=0, ddof=1) / np.sqrt(1000)
-    assert seen.derivative_mm_stderr.values == pytest.approx(expected, rel=1e-6)
+    assert result.derivative_mm_stderr.values == pytest.approx(expected, rel=1e-6)
 
 
 def test_the_standard_error_of_a_mean_path_is_that_of_resampling():
     rng = np.random.default_rng(1)
     weight, path = rng.uniform(0.1, 1, 2000), rng.exponential(3.0, (2000, 2))
-    seen = by_hand(small(weight, path, photons=2000)).at(mu_a_per_mm={"upper": 0.0, "lower": 0.0}).squeeze()
+    result = by_hand(small(weight, path, photons=2000)).at(mu_a_per_mm={"upper": 0.0, "lower": 0.0}).squeeze()
     picks = rng.integers(0, 2000, (800, 2000))
     means = np.array([weight[p] @ path[p] / weight[p].sum() for p in picks])
-    assert seen.mean_path_mm_stderr.values == pytest.approx(means.std(axis=0), rel=0.1)
+    assert result.mean_path_mm_stderr.values == pytest.approx(means.std(axis=0), rel=0.1)
 
 
 # Of some seeds, or by another backend, few photons bear the error of the state farthest away.
@@ -228,15 +228,15 @@ def finger() -> Transfer:
 def test_states_of_blood_and_saturation_are_a_dimension(finger):
     blood, so2 = [[0.03, 0.03], [0.02, 0.05], [0.01, 0.0]], [0.9, 0.95, 0.97]
     both, one, other = finger.at(blood, so2), finger.at(so2=so2), finger.at(blood_fraction=blood)
-    for seen, states in (
+    for result, states in (
         (both, zip(blood, so2, strict=True)),
         (one, ((None, each) for each in so2)),
         (other, ((each, None) for each in blood)),
         (finger.at([0.03, 0.02], so2), (([0.03, 0.02], each) for each in so2)),
     ):
-        assert seen.sizes["state"] == 3 and seen.wavelength_nm.dims == ("led",)
+        assert result.sizes["state"] == 3 and result.wavelength_nm.dims == ("led",)
         for k, state in enumerate(states):
-            assert seen.isel(state=k).identical(finger.at(*state))
+            assert result.isel(state=k).identical(finger.at(*state))
     assert finger.at(so2=[0.9]).sizes["state"] == 1 and "state" not in finger.at(so2=0.9).dims
 
 
@@ -268,8 +268,8 @@ def test_no_standard_error_is_given_for_few_photons():
     lit = small(rng.random(400), path, photons=photons)
     lit = replace(lit, energy=lit.energy | {"lost": (0.0, 0.0), "reflected": (3.0, 3.0)})
     transfer = Transfer(two_layers(photodiodes=2), (lit,), "none", versions={"nailoptics": "0"})
-    seen = transfer.at().squeeze()
-    lit, dark = seen.isel(photodiode=0), seen.isel(photodiode=1)
+    result = transfer.at().squeeze()
+    lit, dark = result.isel(photodiode=0), result.isel(photodiode=1)
     assert float(lit.detected_fraction_stderr) > 0 and np.isnan(lit.upper_limit_95)
     for name in ("mean_path_mm_stderr", "derivative_mm_stderr"):
         assert np.isnan(lit[name][0]) and lit[name][1] > 0, name
@@ -292,12 +292,12 @@ def test_intervals_of_95_percent_hold_for_few_photons(jit_backend):
         trace = tracer.batch(0, photons=1 << 11, seed=seed)
         runs.append(Transfer(scene, (trace,), "llvm", versions={"nailoptics": "0"}))
     merged = replace(runs[0], traces=(joined([run.traces[0] for run in runs]),))
-    truth, seen = merged.at(), xr.concat([run.at() for run in runs], "run")
+    truth, result = merged.at(), xr.concat([run.at() for run in runs], "run")
     for name in ("detected_fraction", "mean_path_mm", "derivative_mm"):
-        off = ((seen[name] - truth[name]) / seen[f"{name}_stderr"]).values
+        off = ((result[name] - truth[name]) / result[f"{name}_stderr"]).values
         known += np.isfinite(off).sum()
         low, high = low + (off < -Z95).sum(), high + (off > Z95).sum()
-    assert known > 1000 and np.isnan(seen.detected_fraction_stderr).any()
+    assert known > 1000 and np.isnan(result.detected_fraction_stderr).any()
     assert 0.92 < 1 - (low + high) / known < 0.97
 
 
@@ -388,12 +388,12 @@ def test_an_absorber_that_is_none_is_refused(traced):
 
 @pytest.mark.jit
 def test_datasets_carry_units_errors_and_their_scene(traced):
-    seen = traced.at()
+    result = traced.at()
     for name in ("detected_fraction", "mean_path_mm", "derivative_mm"):
-        assert seen[name].attrs["ancillary_variables"] == f"{name}_stderr" and seen[name].attrs["units"]
-        assert seen[f"{name}_stderr"].attrs["long_name"].startswith("standard error")
-    assert parse_scene(seen.attrs["scene"]) == traced.scene
-    assert seen.attrs["Conventions"].startswith("CF-") and seen.attrs["photons"] == traced.photons
+        assert result[name].attrs["ancillary_variables"] == f"{name}_stderr" and result[name].attrs["units"]
+        assert result[f"{name}_stderr"].attrs["long_name"].startswith("standard error")
+    assert parse_scene(result.attrs["scene"]) == traced.scene
+    assert result.attrs["Conventions"].startswith("CF-") and result.attrs["photons"] == traced.photons
 
 
 def test_parts_of_the_light_of_several_leds_have_the_error_of_a_mean():

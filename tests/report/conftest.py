@@ -13,7 +13,7 @@ SCENES = Path(__file__).parents[2] / "scenes"
 REGIONS = ("air", "plate", "bed", "bone", "pulp", "epoxy", "cover")
 
 
-def made_up(*, leds=1, times=41, swing=1.0, section=True):
+def synthetic(*, leds=1, times=41, swing=1.0, section=True):
     """A result of the prototype's board: proximal readings fall and distal ones rise with force, by `swing`."""
     text = (SCENES / "prototype.toml").read_text(encoding="utf-8")
     for i in range(1, leds):
@@ -90,4 +90,4 @@ def made_up(*, leds=1, times=41, swing=1.0, section=True):
 @pytest.fixture(scope="session")
 def make():
     """The maker of results."""
-    return made_up
+    return synthetic

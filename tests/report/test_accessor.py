@@ -100,9 +100,9 @@ CUTS = {
 def test_of_a_part_of_a_result_the_whole_is_named_as_what_is_needed(make, tmp_path, cut):
     part = cut(make(leds=1).assign_attrs(TITLE)).nail
     for show in (lambda: part.plot("volts"), part.report, lambda: part.report(tmp_path / "a.html")):
-        with pytest.raises(nail.InputError, match="show the whole result, as returned") as said:
+        with pytest.raises(nail.InputError, match="show the whole result, as returned") as refused:
             show()
-        assert said.value.__cause__ and len(str(said.value)) < 150
+        assert refused.value.__cause__ and len(str(refused.value)) < 150
     assert not [*tmp_path.iterdir()]
 
 

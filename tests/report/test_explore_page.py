@@ -742,28 +742,28 @@ def test_an_exported_scene_opens_again_and_an_unsupported_one_is_refused_with_th
     shown.set_input_files("#open", path)
     shown.locator("#message", has_text="its parts lie").wait_for()
     assert shown.evaluate("workbench.layout") == layout
-    strange = tmp_path / "strange.toml"
-    strange.write_text(
+    unsupported = tmp_path / "strange.toml"
+    unsupported.write_text(
         '[[leds]]\nname = "uv"\nwavelength_nm = 365.0\n[[photodiodes]]\nname = "p"\nposition_mm = [0, 0]\n'
     )
-    shown.set_input_files("#open", strange)
+    shown.set_input_files("#open", unsupported)
     shown.locator("#message", has_text="not a wavelength of this page").wait_for()
     assert shown.evaluate("workbench.layout") == layout
 
 
 def test_the_noise_in_the_dark_is_a_number(unchanged: Any):
     """With fitted resistors it goes with the light, and is not given."""
-    said, fixed = unchanged.inner_text("body"), unchanged.evaluate("tables.stage.feedbackOhm !== null")
+    text, fixed = unchanged.inner_text("body"), unchanged.evaluate("tables.stage.feedbackOhm !== null")
     dark = r", 0\.0\d+ mV in the dark" if fixed else ""
-    assert re.search(f"amplifier and converter{dark}, and the shot noise", said) and "NaN" not in said
+    assert re.search(f"amplifier and converter{dark}, and the shot noise", text) and "NaN" not in text
 
 
 def test_every_gain_is_shown_and_whether_it_follows_the_ambient_light(shown: Any):
     """Expected: of the readings' photodiodes, and that resistors are fitted where the scene gives none."""
     ohm = shown.evaluate("workbench.result.rows.map((row) => row.element.ohm)")
     units = {"kΩ": 1e3, "MΩ": 1e6}
-    said = [cell.split() for cell in shown.locator("#readings tbody td:nth-child(3)").all_text_contents()]
-    assert [float(number) * units[unit] for number, unit in said] == pytest.approx(ohm, rel=5e-3)
+    cells = [cell.split() for cell in shown.locator("#readings tbody td:nth-child(3)").all_text_contents()]
+    assert [float(number) * units[unit] for number, unit in cells] == pytest.approx(ohm, rel=5e-3)
     fixed = shown.evaluate("tables.stage.feedbackOhm !== null")
     assert ("fitted to the LEDs and to the ambient light" in shown.inner_text("#gain-words")) != fixed
 

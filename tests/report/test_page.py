@@ -25,7 +25,7 @@ class Page(HTMLParser):
 
     def __init__(self, text):
         super().__init__()
-        self.tables, self.tags, self.open, self.rows, self.in_svg, self.said = {}, [], [], None, 0, ""
+        self.tables, self.tags, self.open, self.rows, self.in_svg, self.visible_text = {}, [], [], None, 0, ""
         self.feed(text)
         self.close()
         assert not self.open
@@ -49,7 +49,7 @@ class Page(HTMLParser):
             self.rows = None
 
     def handle_data(self, data):
-        self.said += data
+        self.visible_text += data
         if self.rows and data.strip():
             self.rows[-1].append(data.strip())
 
@@ -138,9 +138,9 @@ def test_what_was_not_computed_is_left_out(undrawn, make, left_out):
 
 def test_equations_have_their_names(make):
     text = Page(page(make(section=False)))
-    said = re.findall(r"(.{14})\((?:8|9)\)", text.said)
-    assert len(said) > 4 and all(one.endswith(("Beer–Lambert ", "Taylor ")) for one in said), said
-    assert "docs/glossary.md" in text.said
+    named = re.findall(r"(.{14})\((?:8|9)\)", text.visible_text)
+    assert len(named) > 4 and all(one.endswith(("Beer–Lambert ", "Taylor ")) for one in named), named
+    assert "docs/glossary.md" in text.visible_text
 
 
 def test_a_touch_that_changes_nothing_has_no_constants_of_rounding(undrawn, make):

@@ -24,7 +24,7 @@ def tab(browser: Any) -> Iterator[Any]:
     """A tab that fails the test on any error of its scripts or its policy."""
     tab, faults = browser.new_page(), list[str]()
     tab.on("pageerror", lambda error: faults.append(str(error)))
-    tab.on("console", lambda said: faults.append(said.text) if said.type == "error" else None)
+    tab.on("console", lambda message: faults.append(message.text) if message.type == "error" else None)
     yield tab
     tab.close()
     assert faults == []
@@ -72,11 +72,11 @@ def test_a_click_starts_the_line_and_another_holds_it(tab: Any, tmp_path: Path) 
 
 def test_the_measured_force_moves_a_served_page(tab: Any) -> None:
     """Expected: the line's time is that since the first sample, the bar grows evenly with the last one's force."""
-    seen, said = list[int](), list[str]()
+    bar_px, lines = list[int](), list[str]()
 
     def samples() -> Iterator[dict[str, float]]:
         yield {"time_s": 100.0, "force_n": 0.0}
-        address = said[0].split()[-1]
+        address = lines[0].split()[-1]
         tab.goto(address)
         for force_n in (0.5, 1.0, 1.5):
             yield {"time_s": 140.0, "force_n": force_n}
@@ -84,15 +84,15 @@ def test_the_measured_force_moves_a_served_page(tab: Any) -> None:
                 assert json.load(answer) == {"time_s": 40.0, "force_n": force_n}
             _wait_until(tab, f"measured && measured.force_n === {force_n}")
             # Pixels of the bar near its left edge, beside its number.
-            seen.append(tab.evaluate(_BAR))
+            bar_px.append(tab.evaluate(_BAR))
             assert _left_s(tab) == pytest.approx(DRAWN.time_s[-1] - 40, abs=1)
         yield {"time_s": 141.0, "force_n": float("nan")}
         assert tab.evaluate("measured.force_n") == 1.5
         tab.evaluate("listen = () => {}")
         tab.wait_for_timeout(100)
 
-    serve(DRAWN, samples(), said.append)
-    assert seen[1] - seen[0] > 50 and seen[2] - seen[1] == pytest.approx(seen[1] - seen[0], abs=2)
+    serve(DRAWN, samples(), lines.append)
+    assert bar_px[1] - bar_px[0] > 50 and bar_px[2] - bar_px[1] == pytest.approx(bar_px[1] - bar_px[0], abs=2)
 
 
 _BAR = """() => {

@@ -100,14 +100,14 @@ def test_an_oximeters_quantity_is_drawn_by_photodiode(monkeypatch):
 def test_resistors_that_were_fitted_scene_by_scene_are_named():
     """Expected: where they differ, unless the sweep itself sets them."""
     words = "each fitted to the light of its own"
-    for place, ohm, said in (
+    for place, ohm, shown in (
         ("leds.ir.flux_mw", [1e3, 2e3], True),
         ("leds.ir.flux_mw", [1e3, 1e3], False),
         ("electronics.feedback_ohm", [1e3, 2e3], False),
     ):
         sweep = results(["a", "b"], axis="scene").assign_coords(scene=("scene", [1.0, 2.0], {"long_name": place}))
         sweep["feedback_ohm"] = ("scene", "photodiode"), np.reshape(ohm, (2, 1))
-        assert (words in page(sweep)) is said
+        assert (words in page(sweep)) is shown
 
 
 @pytest.mark.parametrize("axis", ["base", "=1+1"])

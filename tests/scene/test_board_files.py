@@ -150,12 +150,12 @@ def test_an_assembler_writes_the_bottom_seen_from_below(tmp_path, caplog):
     text = "Designator,Mid X,Mid Y,Layer,Rotation\nD1,-3mm,1mm,Bottom,90\nPD1,1mm,-1mm,Bottom,150\n"
     board, path = load_scene(write(tmp_path)), write_positions(tmp_path, text)
     assert load_scene(path).photodiodes[0].rotation_deg == 150
-    said = "the rotation of PD1 on the bottom is read as KiCad writes it, but its header is"
-    assert caplog.text.count(said) == 1
+    warning = "the rotation of PD1 on the bottom is read as KiCad writes it, but its header is"
+    assert caplog.text.count(warning) == 1
     path.write_text(path.read_text().replace("barrier", 'rotation_on_bottom = "assembler"\nbarrier'))
     scene = load_scene(path)
     assert (scene.leds, scene.photodiodes) == (board.leds, board.photodiodes)
-    assert caplog.text.count(said) == 1
+    assert caplog.text.count(warning) == 1
 
 
 def test_the_rotation_of_a_part_beside_its_footprint_is_warned_of(tmp_path, caplog):
@@ -219,8 +219,8 @@ def test_the_film_is_as_thick_as_the_board_of_the_file(tmp_path, caplog, general
     assert parse_scene(to_toml(scene)).board == scene.board
     candidate = '[placement]\nsearch = false\n[[placement.candidates]]\nname = "drawn"\nkicad = "x.kicad_pcb"\n'
     path.write_text(path.read_text() + candidate)
-    said = caplog.text.count("thick")
-    assert load_scene(path).placement.candidates[0].leds and caplog.text.count("thick") == 2 * said
+    count = caplog.text.count("thick")
+    assert load_scene(path).placement.candidates[0].leds and caplog.text.count("thick") == 2 * count
 
 
 @pytest.mark.parametrize(("corner", "lies_on"), [("97 96", True), ("99 96", False)])

@@ -124,16 +124,16 @@ def test_the_digest_is_the_same_in_every_process(hash_seed):
 
 def test_every_number_of_a_scene_changes_its_digest():
     scene = parse_scene(PHANTOM)
-    seen = {digest(scene)}
+    digests = {digest(scene)}
     layer = scene.phantom.layers[0]
     for name, value in layer.model_dump().items():
         other = layer.model_copy(update={name: value + 1e-9 if isinstance(value, float) else value + "x"})
         phantom = scene.phantom.model_copy(update={"layers": (other, scene.phantom.layers[1])})
-        seen.add(digest(scene.model_copy(update={"phantom": phantom})))
+        digests.add(digest(scene.model_copy(update={"phantom": phantom})))
     finite = scene.phantom.layers[1].model_copy(update={"thickness_mm": 1e9})
     phantom = scene.phantom.model_copy(update={"layers": (layer, finite)})
-    seen.add(digest(scene.model_copy(update={"phantom": phantom})))
-    assert len(seen) == 1 + len(layer.model_dump()) + 1
+    digests.add(digest(scene.model_copy(update={"phantom": phantom})))
+    assert len(digests) == 1 + len(layer.model_dump()) + 1
 
 
 def test_a_byte_order_mark_is_no_obstacle(tmp_path):

@@ -107,6 +107,6 @@ def test_position_files_agree_with_the_board(name, how, within_mm):
     assert {part.ref for part in result} == set(PARTS)
     for part in result:
         place, angle, side = PARTS[part.ref]
-        want = [a - b for a, b in zip(place, ORIGIN, strict=True)]
-        assert part.position_mm == pytest.approx(want, abs=within_mm) and part.side == side
+        expected = [a - b for a, b in zip(place, ORIGIN, strict=True)]
+        assert part.position_mm == pytest.approx(expected, abs=within_mm) and part.side == side
         assert away_deg(part.rotation_deg - angle) < 1e-3

@@ -45,7 +45,7 @@ BOTH = [(10.0, "top"), (20.0, "top"), (-12.0, "bottom"), (-18.0, "bottom")]
 
 
 @pytest.mark.parametrize(
-    ("places", "said", "words"),
+    ("places", "board", "words"),
     [
         (BOTH, {}, "looks negated"),
         ([(-142.5, "bottom"), (-157.5, "bottom")], {}, "looks negated"),
@@ -56,9 +56,9 @@ BOTH = [(10.0, "top"), (20.0, "top"), (-12.0, "bottom"), (-18.0, "bottom")]
         (BOTH, {"negate_x_on_bottom": False}, ""),
     ],
 )
-def test_x_that_may_be_negated_is_a_warning(caplog, places, said, words):
+def test_x_that_may_be_negated_is_a_warning(caplog, places, board, words):
     result = [PlacedPart(f"PD{i}", "", "", (x, 0.0), 0.0, side) for i, (x, side) in enumerate(places)]
-    warn_of_bottom({"positions": "pos.csv"} | said, result, result)
+    warn_of_bottom({"positions": "pos.csv"} | board, result, result)
     assert words in caplog.text and bool(words) == ("negate_x_on_bottom = true" in caplog.text)
 
 

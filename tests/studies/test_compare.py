@@ -40,7 +40,7 @@ def prototype(**led) -> Scene:
     return scene.model_copy(update={"leds": tuple(one.model_copy(update=led) for one in scene.leds)})
 
 
-def made_up(own_mm, other_mm, *, seed: int = 0, scene: Scene | None = None) -> Transfer:
+def synthetic(own_mm, other_mm, *, seed: int = 0, scene: Scene | None = None) -> Transfer:
     """A trace of light with given paths in the photodiode's own zone and in the other one, eight photodiodes alike.
 
     own_mm, other_mm : (n,) float. [mm]
@@ -67,7 +67,7 @@ def made_up(own_mm, other_mm, *, seed: int = 0, scene: Scene | None = None) -> T
     return Transfer(scene, (trace,), "none", engine="made up", versions={"numpy": "0"})
 
 
-def judged(transfer: Transfer, *over: Over, slopes: np.ndarray = NO_SCATTERING):
+def evaluated(transfer: Transfer, *over: Over, slopes: np.ndarray = NO_SCATTERING):
     return compare_transfer(transfer, [state_sweep(transfer.scene, one) for one in over], slopes)
 
 
@@ -77,8 +77,8 @@ def per_blood(scene: Scene) -> float:
 
 def test_light_of_one_path_in_one_zone_is_beer_lambert():
     """Rationale: the paper's assumptions, all met. Expected: (8) exact; (9) off by its truncation only."""
-    transfer = made_up(np.full(4000, 4.0), np.zeros(4000))
-    result = judged(transfer, "force", "blood").isel(led=0)
+    transfer = synthetic(np.full(4000, 4.0), np.zeros(4000))
+    result = evaluated(transfer, "force", "blood").isel(led=0)
     depth = 4.0 * per_blood(transfer.scene) * result.setting.sel(sweep="blood").values
     assert np.allclose(result.alpha_d2.sel(sweep="blood"), depth, rtol=1e-5)
     assert np.abs(result.error.sel(model="beer_lambert", way="fitted")).max() < 1e-5
@@ -98,8 +98,8 @@ def test_a_spread_of_paths_is_separated_from_truncation():
     """Gamma-distributed paths of shape k and scale s read (1 + s x)^-k; (8) with their mean is off by the rest."""
     shape, scale = 2.0, 2.5
     draw = np.random.default_rng(3).gamma(shape, scale, 20_000)
-    transfer = made_up(draw, np.zeros_like(draw))
-    blood = judged(transfer, "blood").isel(led=0, sweep=0, photodiode=0)
+    transfer = synthetic(draw, np.zeros_like(draw))
+    blood = evaluated(transfer, "blood").isel(led=0, sweep=0, photodiode=0)
     # Drawn at rest; without blood longer paths count more: gamma again, of a larger scale.
     scale /= 1 - scale * transfer.scene.blood.rest_blood_fraction * per_blood(transfer.scene)
     x = per_blood(transfer.scene) * blood.setting.values
@@ -116,7 +116,7 @@ def test_blood_that_pools_is_arterial_to_light_and_formulas_alike():
     """Of one path in one zone Beer-Lambert is exact, whatever the saturation. Expected: readings fall by the absorption
     that the touch over time has, in which blood beyond that at rest is arterial."""
     scene = prototype(wavelength_nm=660.0, fwhm_nm=0.0).with_({"blood.venous_so2": 0.86, "touch.proximal_share": 1.0})
-    result = judged(made_up(np.full(3000, 2.0), np.zeros(3000), scene=scene), "force").isel(sweep=0, led=0)
+    result = evaluated(synthetic(np.full(3000, 2.0), np.zeros(3000), scene=scene), "force").isel(sweep=0, led=0)
     assert np.abs(result.error.sel(way="predicted", model="beer_lambert")).max() < 1e-5
     blood = steady_blood(scene, result.setting.values)
     mu_a = optics.absorption(scene, 660.0, blood_fraction=blood)[:, 0, optics.bed_columns(scene)[0]]
@@ -126,7 +126,7 @@ def test_blood_that_pools_is_arterial_to_light_and_formulas_alike():
 
 def test_the_error_by_the_other_zone_is_reported_and_vanishes_with_paths_in_both():
     n = 4000
-    blood = judged(made_up(np.full(n, 2.0), np.full(n, 6.0)), "blood").isel(led=0, sweep=0)
+    blood = evaluated(synthetic(np.full(n, 2.0), np.full(n, 6.0)), "blood").isel(led=0, sweep=0)
     exponent = blood.setting.values * per_blood(prototype(fwhm_nm=0.0))
     own, both = np.exp(-2 * exponent), np.exp(-8 * exponent)
     expected = (own - both) / (1 - both[-1])
@@ -137,7 +137,7 @@ def test_the_error_by_the_other_zone_is_reported_and_vanishes_with_paths_in_both
 
 def test_the_parts_add_up_to_the_error_of_taylor():
     draw = np.random.default_rng(5).gamma(2.0, 2.0, (2, 3000))
-    result = judged(made_up(*draw), "force", "blood", "saturation", slopes=np.full((2, 1, 8), 0.3))
+    result = evaluated(synthetic(*draw), "force", "blood", "saturation", slopes=np.full((2, 1, 8), 0.3))
     total = result.part_error.sel(part=["truncation", "one_path", "both_zones"]).sum("part")
     assert np.allclose(total, result.error.sel(model="taylor"), atol=1e-11)
     assert np.abs(result.part_error.sel(part="blood_scattering")).max() > 0
@@ -148,7 +148,7 @@ def test_the_page_names_no_part_that_was_not_estimated():
     Expected: the largest of the parts that are known; none where none is.
     """
     draw = np.random.default_rng(4).gamma(2.0, 2.5, 2000)
-    computed = judged(made_up(draw, draw), "blood", slopes=np.full((2, 1, 8), np.nan))
+    computed = evaluated(synthetic(draw, draw), "blood", slopes=np.full((2, 1, 8), np.nan))
     assert np.isnan(computed.part_error.sel(part="blood_scattering")).any()
     *_, (_, words) = compare_page._cards(computed)
     assert "largest part" in words and "scatters" not in words
@@ -160,8 +160,8 @@ def test_a_straight_line_fits_an_exponential_up_to_the_theoretical_limit():
     """Over a depth d the best line misses exp by d / 12 (n - 2) / (n - 1) of the swing, by n points and least squares.
 
     At 1 % there are 15 of the 41 points: d = 0.129."""
-    transfer = made_up(np.full(4000, 8.0), np.zeros(4000))
-    blood = judged(transfer, "blood").isel(led=0, sweep=0, photodiode=0)
+    transfer = synthetic(np.full(4000, 8.0), np.zeros(4000))
+    blood = evaluated(transfer, "blood").isel(led=0, sweep=0, photodiode=0)
     depth = float(blood.limit_alpha_d2.sel(way="fitted", model="taylor", within=0.01))
     assert depth == pytest.approx(0.129, rel=0.02)
     depth = float(blood.limit_alpha_d2.sel(way="predicted", model="taylor", within=0.05))
@@ -174,7 +174,9 @@ def test_standard_errors_are_those_of_repeated_traces():
     rng = np.random.default_rng(11)
     values, errors = [], []
     for seed in range(30):
-        blood = judged(made_up(*rng.gamma(2.0, 2.0, (2, 400)), seed=seed), "blood").isel(led=0, sweep=0, photodiode=0)
+        blood = evaluated(synthetic(*rng.gamma(2.0, 2.0, (2, 400)), seed=seed), "blood").isel(
+            led=0, sweep=0, photodiode=0
+        )
         one = blood.isel(point=-1)
         values.append([*one.part_error.sel(way="predicted").values[:3], float(one.alpha_d2), float(one.path_mm)])
         errors.append(
@@ -195,11 +197,11 @@ def test_printed_intervals_of_a_comparison_have_their_nominal_coverage():
     rng = np.random.default_rng(21)
 
     def computed(photons: int, seed: int) -> xr.Dataset:
-        transfer = made_up(*rng.gamma(2.0, 2.0, (2, photons)), seed=seed)
+        transfer = synthetic(*rng.gamma(2.0, 2.0, (2, photons)), seed=seed)
         # The slope by the bed's scattering comes from traces of its own.
         error = 0.1 * np.sqrt(3_000 / photons)
         slopes = np.stack([0.5 + error * rng.standard_normal((1, 8)), np.full((1, 8), error)])
-        return judged(transfer, "blood", slopes=slopes).isel(led=0, sweep=0, photodiode=0)
+        return evaluated(transfer, "blood", slopes=slopes).isel(led=0, sweep=0, photodiode=0)
 
     truth, each = computed(60_000, 77), [computed(3_000, seed) for seed in range(20)]
     for name in ("range_error", "error", "part_error", "alpha_d2", "bed_alpha_d2", "reading"):
@@ -224,7 +226,7 @@ def test_the_slope_by_the_beds_scattering_has_a_calibrated_standard_error(jit_ba
     scene = prototype(fwhm_nm=0.0)
 
     def slopes(photons: int, seed: int) -> np.ndarray:
-        transfer = made_up(np.full(photons // 10, 4.0), np.zeros(photons // 10), scene=scene)
+        transfer = synthetic(np.full(photons // 10, 4.0), np.zeros(photons // 10), scene=scene)
         return _scattering_slopes(transfer, TraceOptions(seed=seed), None)[:, 0]
 
     truth, each = slopes(2_560_000, 99), np.array([slopes(160_000, seed) for seed in range(20)])
@@ -236,7 +238,7 @@ def test_the_slope_by_the_beds_scattering_has_a_calibrated_standard_error(jit_ba
 
 def test_replicates_include_the_noise_of_the_count():
     """The number of detected photons is random: its error belongs to a reading, not only that of the weights."""
-    transfer = made_up(np.full(10_000, 1.0), np.zeros(10_000))
+    transfer = synthetic(np.full(10_000, 1.0), np.zeros(10_000))
     mu_a = optics.absorption(transfer.scene, [800.0])[None]
     reading, _ = read_replicates(transfer, 0, mu_a, np.array([0.4]))
     assert reading.shape == (1 + GROUPS, 8, 1) and np.allclose(reading[0], 0.1)
@@ -270,7 +272,7 @@ def test_limits_in_a_measure_that_is_traced_have_its_error_too():
 @pytest.mark.parametrize(("tolerance", "outcome"), [(0.5, "met"), (1e-6, "missed")])
 def test_the_verdict_needs_all_readings(tolerance, outcome):
     draw = np.random.default_rng(5).gamma(2.0, 2.0, (2, 3000))
-    result = judged(made_up(*draw), "blood")
+    result = evaluated(synthetic(*draw), "blood")
     assert verdict(result, tolerance).outcome == outcome
     largest = float(result.range_error[..., -1].sel(way="fitted", model="taylor").max())
     assert verdict(result, largest).outcome == "undecided"
@@ -323,7 +325,7 @@ def test_neighbouring_seeds_share_no_streams(monkeypatch):
 
     def trace(scene, *, seed, **_):
         used.append(seed)
-        return made_up(np.full(50, 4.0), np.zeros(50), scene=scene)
+        return synthetic(np.full(50, 4.0), np.zeros(50), scene=scene)
 
     monkeypatch.setattr("nailoptics.studies.compare.trace", trace)
     for seed in range(4):
@@ -333,7 +335,7 @@ def test_neighbouring_seeds_share_no_streams(monkeypatch):
 
 def test_the_terminal_reports_whether_both_formulas_hold_and_the_tolerance():
     draw = np.random.default_rng(4).gamma(2.0, 2.5, 2000)
-    computed = judged(made_up(draw, draw), "blood", slopes=np.full((2, 1, 8), np.nan))
+    computed = evaluated(synthetic(draw, draw), "blood", slopes=np.full((2, 1, 8), np.nan))
     taylor, exact, meaning = compare_page.lines(computed, 0.1)
     for line, name in ((taylor, "Taylor (9)"), (exact, "Beer-Lambert (8)")):
         assert name in line and "10 % of the swing" in line
@@ -384,9 +386,9 @@ def test_the_prototype_agrees_with_itself_within_its_errors(jit_backend):
 
 @pytest.mark.long
 def test_a_sweeps_settings_have_a_unit_that_all_of_them_share_or_none():
-    transfer = made_up(np.array([0.5, 1.0]), np.array([0.2, 0.1]))
+    transfer = synthetic(np.array([0.5, 1.0]), np.array([0.2, 0.1]))
     for over, units in ((("blood", "saturation"), "1"), (("force",), "N"), (("force", "blood"), None)):
-        computed = judged(transfer, *over)
+        computed = evaluated(transfer, *over)
         for name in ("setting", "limit"):
             assert computed[name].attrs.get("units") == units
             assert (computed[name].attrs.get("ancillary_variables") == "setting_units") == (units is None)
@@ -395,7 +397,7 @@ def test_a_sweeps_settings_have_a_unit_that_all_of_them_share_or_none():
 @pytest.mark.long
 def test_the_page_shows_hostile_names_as_text(tmp_path):
     rng = np.random.default_rng(1)
-    result = judged(made_up(rng.uniform(1, 6, 400), rng.uniform(0, 3, 400)), "force", "blood")
+    result = evaluated(synthetic(rng.uniform(1, 6, 400), rng.uniform(0, 3, 400)), "force", "blood")
     names = [f"{HOSTILE[i % len(HOSTILE)]}{i}" for i in range(result.sizes["photodiode"])]
     text = page(result.assign_coords(led=[HOSTILE[0]], photodiode=names))
     for name in names:

@@ -15,7 +15,7 @@ from nailoptics.studies.prior_uncertainty import at_value
 FORCE_N = CURVE_PA / PA_PER_N_PER_CM2
 
 
-def made_up(proximal, distal, *, late=0.0, skin_effect=0.0) -> PeopleReadings:
+def synthetic(proximal, distal, *, late=0.0, skin_effect=0.0) -> PeopleReadings:
     """People whose readings change in proportion to force up to 1 N and by a part of that, `late`, to 2 N."""
     change = np.array([-np.asarray(proximal), distal])[:, :, None]
     late = np.stack([np.broadcast_to(late, len(proximal)), np.full(len(proximal), 0.1)])[:, :, None]
@@ -36,7 +36,7 @@ def claims(readings: PeopleReadings) -> dict[str, list[Claim]]:
 
 
 def test_people_as_the_paper_describes_meet_every_rule():
-    made = made_up([0.01, 0.02, 0.04, 0.03], [0.02, 0.021, 0.02, 0.021], late=[0.02, 0.0, -0.02, 0.0])
+    made = synthetic([0.01, 0.02, 0.04, 0.03], [0.02, 0.021, 0.02, 0.021], late=[0.02, 0.0, -0.02, 0.0])
     assert all(claim.met for claim in evaluate_people(made)) and len(evaluate_people(made)) == len(PEOPLE_RULES)
 
 
@@ -51,14 +51,14 @@ def test_people_as_the_paper_describes_meet_every_rule():
 )
 def test_people_who_contradict_a_rule_miss_it(word, how):
     usual = {"proximal": [0.01, 0.02, 0.04, 0.03], "distal": [0.02] * 4, "late": [-0.02, 0.0, 0.02, 0.0]}
-    missed = [claim.rule.sentence for claim in evaluate_people(made_up(**usual | how)) if not claim.met]
+    missed = [claim.rule.sentence for claim in evaluate_people(synthetic(**usual | how)) if not claim.met]
     assert missed and all(word in sentence for sentence in missed)
 
 
 def test_interval_of_a_mean_over_people_is_that_of_student():
     """Expected: t of three degrees of freedom, 3.182, times the standard error of the mean."""
     late = np.array([0.0, 0.02, 0.01, 0.05])
-    made = claims(made_up([0.01] * 4, [0.02] * 4, late=-late))
+    made = claims(synthetic([0.01] * 4, [0.02] * 4, late=-late))
     claim = next(c for rules in made.values() for c in rules if c.rule.text.startswith("change from 1.2 to 2 N"))
     knee = 1.0 - 0.2 * late
     part = 0.8 * late / knee

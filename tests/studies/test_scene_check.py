@@ -183,5 +183,5 @@ def test_it_refuses_what_a_later_command_would(tmp_path, capfd, positions, text,
 )
 def test_it_reports_where_the_models_board_is_not_that_of_the_file(outline, words):
     text = SCENE.split("[placement]")[0].replace("barrier = false", f"barrier = false\noutline_mm = [{outline}]")
-    said = [line for line in check(parse_scene(text))["warnings"] if line.startswith("board: ")]
-    assert len(said) == len(words) and all(word in line for word, line in zip(words, said, strict=True))
+    warnings = [line for line in check(parse_scene(text))["warnings"] if line.startswith("board: ")]
+    assert len(warnings) == len(words) and all(word in line for word, line in zip(words, warnings, strict=True))

@@ -32,7 +32,7 @@ from nailoptics.studies.placement.place import place
 from nailoptics.studies.simulate import simulate, simulate_from
 
 # Priors that need traces of their own, but for one: each takes as long as the scene's own light of few photons.
-KNOWN = (
+KNOWN_PRIORS = (
     "finger.plate_scattering",
     "finger.bone_scattering",
     "finger.pulp_scattering",
@@ -45,7 +45,7 @@ PHOTONS = 1 << 18
 def prototype(**touch) -> Scene:
     """The prototype, of whose scattering that of the bed alone is unknown, touched differently."""
     scene = load_scene(data_dir("scenes") / "prototype.toml")
-    priors = scene.priors.model_copy(update={"known": KNOWN})
+    priors = scene.priors.model_copy(update={"known": KNOWN_PRIORS})
     return scene.model_copy(update={"touch": scene.touch.model_copy(update=touch), "priors": priors})
 
 
@@ -167,7 +167,7 @@ def test_stored_light_needs_no_mitsuba_until_a_part_of_it_is_gone(pressed, own_s
         result.path_density.to_netcdf(sys.argv[3])
     """
     section = tmp_path / "section.nc"
-    given = [str(one) for one in (data_dir("scenes") / "prototype.toml", own_store, section, PHOTONS, *KNOWN)]
+    given = [str(one) for one in (data_dir("scenes") / "prototype.toml", own_store, section, PHOTONS, *KNOWN_PRIORS)]
     environment = os.environ | {"NAILOPTICS_STORE": str(own_store), "PYTHONPATH": str(Path(__file__).parents[2])}
     done = subprocess.run([sys.executable, "-c", code, *given], env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -556,21 +556,21 @@ def test_blood_over_time_starts_at_rest_and_diverges_under_force():
 def test_over_priors_of_the_blood_at_rest_blood_over_time_is_that_of_its_own_touch(monkeypatch, body):
     """Eq. (7): blood goes with the blood at rest, so that another one needs no other course; that of arterioles, which
     are there where a heart beats, does not."""
-    scene, asked = prototype(duration_s=1.0, release_s=0.9).with_({"body": body}), []
+    scene, requested = prototype(duration_s=1.0, release_s=0.9).with_({"body": body}), []
     course = blood_over_touch(scene)
 
-    def ask(transfer, states, **how):
+    def record_states(transfer, states, **how):
         for rest in (0.01, 0.03, 0.05):
             varied = scene.with_({"blood.rest_blood_fraction": rest})
-            asked.append(
+            requested.append(
                 (states(varied)[0], blood_over_touch(varied).blood_fraction.values[:, [0, hold_end(course)]].T)
             )
         return SimpleNamespace(dataset=lambda scene: xr.Dataset())
 
     module = import_module("nailoptics.studies.simulate")
-    monkeypatch.setattr(module, "readings_over_priors", ask)
+    monkeypatch.setattr(module, "readings_over_priors", record_states)
     module._spread(course, SimpleNamespace(scene=scene), TraceOptions(), None, False)
-    for states, own in asked:
+    for states, own in requested:
         assert states == pytest.approx(own, rel=1e-6)
-    assert body or asked[0][0][0] == pytest.approx(0.01)
-    assert np.ptp(asked[2][0][:, 0]) > 1e-3
+    assert body or requested[0][0][0] == pytest.approx(0.01)
+    assert np.ptp(requested[2][0][:, 0]) > 1e-3

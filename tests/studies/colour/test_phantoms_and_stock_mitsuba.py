@@ -136,9 +136,14 @@ def test_a_camera_of_stock_mitsuba_renders_the_same_colour_of_the_nail(chosen_ji
     for wavelength_nm in (450.0, 545.0, 680.0):
         at = int(np.flatnonzero(WAVELENGTHS_NM == wavelength_nm)[0])
         groups = camera.see(wavelength_nm, REST, spp=240, seed=seed_of(9, at))[:, 0, 0]
-        seen, seen_error = groups.mean(), groups.std(ddof=1) / np.sqrt(len(groups))
-        both = np.hypot(error[at], seen_error)
-        assert abs(value[at] - seen) < 3 * both and both < 0.02 * seen, (wavelength_nm, value[at], seen, both)
+        rendered, rendered_error = groups.mean(), groups.std(ddof=1) / np.sqrt(len(groups))
+        both = np.hypot(error[at], rendered_error)
+        assert abs(value[at] - rendered) < 3 * both and both < 0.02 * rendered, (
+            wavelength_nm,
+            value[at],
+            rendered,
+            both,
+        )
 
 
 def test_without_a_backend_that_compiles_kernels_colour_is_refused():

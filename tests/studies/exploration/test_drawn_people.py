@@ -17,8 +17,8 @@ def test_by_a_quantile_of_the_people_a_force_is_resolved_no_coarser(monkeypatch)
         "total_information": lambda part: part,
         "force_resolution_n": lambda part, point: part,
     }
-    for name, made_up in made.items():
-        monkeypatch.setattr(drawn_people, name, made_up)
+    for name, replacement in made.items():
+        monkeypatch.setattr(drawn_people, name, replacement)
     people = drawn_people.ranked_people(load_scene("prototype"), [], seed=0)
     for person, part in zip(people, (2e-3, 1e-2, 1.8e-2), strict=True):
         assert person.resolution_n == person.scene.blood.rest_blood_fraction == pytest.approx(part)

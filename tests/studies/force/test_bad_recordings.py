@@ -75,10 +75,10 @@ def _refused(capsys: pytest.CaptureFixture[str], arguments: list[str], *, writte
     """The one line in which a command refuses its input; it must write nothing."""
     capsys.readouterr()
     assert run(arguments) == 2
-    out, said = capsys.readouterr()
+    out, err = capsys.readouterr()
     assert out == "" and not written.exists()
-    assert len(said.splitlines()) == 1
-    return said
+    assert len(err.splitlines()) == 1
+    return err
 
 
 EITHER = [
@@ -223,9 +223,9 @@ def test_a_saturated_part_counts_as_a_gap_and_is_reported(
     text = (folder / "touch.csv").read_text()
     (tmp_path / "part.csv").write_text(_changed(text, FIRST, lambda cell, k: "5" if 100 <= k < 150 else cell))
     assert run(["predict", str(folder / "me.toml"), str(tmp_path / "part.csv"), "-o", str(tmp_path / "out")]) == 0
-    said = capsys.readouterr().err
-    assert f"{FIRST} is saturated in 50 of 200 samples, which count as gaps." in said
-    assert "do not fit" not in said
+    err = capsys.readouterr().err
+    assert f"{FIRST} is saturated in 50 of 200 samples, which count as gaps." in err
+    assert "do not fit" not in err
     assert f"{FIRST} is saturated" in (tmp_path / "out" / "predict.html").read_text()
 
 

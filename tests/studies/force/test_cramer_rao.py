@@ -13,7 +13,7 @@ from nailoptics.studies.force.subject import Subject, parse_subject
 
 
 @pytest.fixture(scope="module")
-def known() -> Subject:
+def calibrated() -> Subject:
     """A subject whose sensor and vessels are known exactly, whose body is still, and whose readings do not drift."""
     result, light = parse_subject(made_sensor.subject()), made_sensor.table()
     return replace(
@@ -42,7 +42,9 @@ def known() -> Subject:
 
 
 @pytest.mark.parametrize(("site", "share"), [("proximal", 1.0), ("distal", 0.0)])
-def test_a_held_touch_is_estimated_as_finely_as_placement_predicts(known: Subject, site: str, share: float) -> None:
+def test_a_held_touch_is_estimated_as_finely_as_placement_predicts(
+    calibrated: Subject, site: str, share: float
+) -> None:
     """Rationale: matched model and electronic noise alone. Expected: rms within 1.3 times the Cramer-Rao bound of one
     sample, whatever the split; less than it only by what the filter remembers of the samples before.
     """
@@ -56,7 +58,7 @@ def test_a_held_touch_is_estimated_as_finely_as_placement_predicts(known: Subjec
     bound_n = float(information.force_resolution_n(information.total_information([read]), side))
     time_s = made_sensor.STEP_S * np.arange(500)
     held = force_n * np.where(time_s < 1, 0.0, 1 - np.exp(-np.maximum(time_s - 1, 0) / 0.3))
-    estimated = predict(known, made_sensor.record(held, site, seed=5))
+    estimated = predict(calibrated, made_sensor.record(held, site, seed=5))
     # 250 samples know an rms to 5 %.
     rms_n = float(np.sqrt(np.mean((estimated.force_n.values - held)[time_s >= 5] ** 2)))
     assert 0.7 * bound_n < rms_n < 1.3 * bound_n

@@ -328,14 +328,14 @@ def test_model_errors_while_the_blood_moves_are_no_outliers() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changed", "looks_like"),
+    ("changed", "misfit"),
     [
         (lambda volts: volts + 0.3, "ambient light, or another person"),
         (lambda volts: 0.6 * volts, "a lifted sensor or other gain, or another person"),
         (lambda volts: volts[::-1], "another person or place, or motion"),
     ],
 )
-def test_readings_that_do_not_fit_are_named(subject: Subject, table: ReadingTable, changed, looks_like: str) -> None:  # type: ignore[no-untyped-def]
+def test_readings_that_do_not_fit_are_named(subject: Subject, table: ReadingTable, changed, misfit: str) -> None:  # type: ignore[no-untyped-def]
     """Rests are as uneven as the prototype's, of 0.7 to 1.5 V: light that all readings have alike explains 88 % of a
     gain that all have alike."""
     recorded, uneven = _record(table, _steps(), "proximal", seed=10), np.array([3.5, 1.5, 1.5, 3.5])
@@ -344,7 +344,7 @@ def test_readings_that_do_not_fit_are_named(subject: Subject, table: ReadingTabl
     read = replace(recorded, volts=changed(uneven[:, None] * recorded.volts))
     summary = prediction_summary(predict(own, read))
     assert not summary["consistent"]
-    assert summary["misfit"] == looks_like
+    assert summary["misfit"] == misfit
 
 
 def test_what_the_protocol_has_and_a_recording_lacks_is_reported() -> None:

@@ -3,7 +3,7 @@
 import made_sensor
 import numpy as np
 import pytest
-from force_floor import exactly_known, modelled
+from force_floor import exactly_calibrated, modelled
 from record import SIDES, Site, load_person, steps, touch_of
 
 from nailoptics.hemodynamics.touch import touch_course
@@ -37,7 +37,7 @@ def test_intervals_cover_held_touches_of_the_model_itself(subject: Subject, side
     )
     covered = []
     for seed in (1, 2):
-        estimated = predict(exactly_known(subject, person), modelled(subject, person, touch, seed=seed))
+        estimated = predict(exactly_calibrated(subject, person), modelled(subject, person, touch, seed=seed))
         inside = (estimated.force_low_n.values <= force_n) & (force_n <= estimated.force_high_n.values)
         covered.append(inside[force_n > 0.05])
     assert 0.85 < np.mean(np.concatenate(covered)) < 0.995

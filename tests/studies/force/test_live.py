@@ -238,9 +238,9 @@ def test_a_wrong_calibration_is_reported_at_once(
     (tmp_path / "me.toml").write_text(subject_toml(wrong))
     monkeypatch.setattr("sys.stdin", StringIO("time_s," + ",".join(NAMES) + "\n"))
     assert run(["predict", str(tmp_path / "me.toml"), "-"]) == 0
-    said = capsys.readouterr()
+    printed = capsys.readouterr()
     off = "the calibration itself was 300 mN off on its own touches (rms): calibrate again."
-    assert said.err == f"nailoptics: {off}\n" and said.out.startswith("time_s,force_n")
+    assert printed.err == f"nailoptics: {off}\n" and printed.out.startswith("time_s,force_n")
 
 
 @pytest.mark.long

@@ -51,24 +51,24 @@ def test_an_interval_includes_the_uncertainty_of_the_calibration(subject: Subjec
     own = (subject.noise.drift_per_min * rest_v) ** 2 + subject.readings.noise_v**2
     white = np.linalg.inv(np.linalg.cholesky(np.diag(own) + led @ led.T))
 
-    def force_n(told_by: Subject) -> float:
+    def force_n(calibration: Subject) -> float:
         def off(pressure: np.ndarray) -> np.ndarray:
             return np.concatenate(
-                [white @ (risen_v(told_by, pressure) - read), (pressure - held) / PRESSURE_PRIOR_N_PER_CM2]
+                [white @ (risen_v(calibration, pressure) - read), (pressure - held) / PRESSURE_PRIOR_N_PER_CM2]
             )
 
-        who = told_by.person
+        who = calibration.person
         result = least_squares(off, held, x_scale=0.1, diff_step=1e-3, xtol=1e-12, ftol=1e-12)
         return float(result.x[side] * who.area_cm2 * (who.proximal_area if side == 0 else 1.0))
 
     values, vectors = np.linalg.eigh(subject.covariance)
     each = (vectors * np.sqrt(np.maximum(values, 0.0))).T
-    known_n = force_n(subject)
-    stderr_n = float(np.sqrt(sum((force_n(other(subject, off)) - known_n) ** 2 for off in each)))
+    calibrated_n = force_n(subject)
+    stderr_n = float(np.sqrt(sum((force_n(other(subject, off)) - calibrated_n) ** 2 for off in each)))
     estimate = PressureEstimate(held, 1e-14 * np.eye(2), 0.0, 0.0, len(read), False, True)
     estimated = ForceInterval(subject).estimate(stacked([estimate]))
     # The interval's slopes are of finite steps: where errors all but cancel, a hundredth of the area's is left.
     area = NAMES.index("contact_area")
-    rounding_n = 0.02 * known_n * float(np.sqrt(subject.covariance[area, area]))
+    rounding_n = 0.02 * calibrated_n * float(np.sqrt(subject.covariance[area, area]))
     wide_n = float(estimated.force_high_n[0] - estimated.force_low_n[0]) / (2 * Z95)
     assert wide_n == pytest.approx(INTERVAL_SCALE * stderr_n, rel=0.1, abs=rounding_n)

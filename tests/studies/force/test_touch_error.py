@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from worn_prototype import PAPER_MM, PAPER_WIRED, Wired, computed_n, known_exactly, played, worn
+from worn_prototype import PAPER_MM, PAPER_WIRED, Wired, computed_n, exactly_calibrated, played, worn
 
 from nailoptics import load_scene, simulate
 from nailoptics.assets import data_dir
@@ -222,7 +222,7 @@ def test_the_rms_error_of_predict_over_touches_is_the_computed_one(
         body = sensor.body.model_copy(update={"seed": seed}) if sensor.body else None
         made = sensor.model_copy(update={"touch": sensor.touch.model_copy(update=played(touches)), "body": body})
         recording = replace(record(simulate(made, photons=1_000_000), seed=seed), names=table.names)
-        estimated = predict(known_exactly(sensor, touches, table, recording), recording)
+        estimated = predict(exactly_calibrated(sensor, touches, table, recording), recording)
         force_n = np.asarray(recording.force_n)
         error2.append(np.mean((estimated.force_n.values - force_n)[force_n >= TOUCH_N] ** 2))
     assert ratio[0] < np.sqrt(np.mean(error2)) / computed_n(touches, table) < ratio[1]

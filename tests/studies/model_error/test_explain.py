@@ -235,8 +235,8 @@ def assert_printed(seeds: list[tuple[PairedReadings, Difference]], exact: Differ
     for base, computed in seeds:
         one = effect_of(Change("any", True, ""), computed, base, tolerance=0.02)
         j = [f"{base.transfer.leds[0]} on {name}" for name in base.transfer.photodiodes].index(one.photodiode)
-        judged = exact.signal if one.of == "signal" else exact.reading
-        away = abs(one.change - judged.value[0, j]) / np.hypot(one.stderr, judged.stderr[0, j])
+        reference = exact.signal if one.of == "signal" else exact.reading
+        away = abs(one.change - reference.value[0, j]) / np.hypot(one.stderr, reference.stderr[0, j])
         # The values of many photons have errors of their own.
         least, least_swing = (np.max(np.abs(of.value) - Z95 * of.stderr) if of else 0.0 for of in exact)
         bounded = one.bound >= (least_swing if one.of == "signal" else least)
@@ -245,7 +245,7 @@ def assert_printed(seeds: list[tuple[PairedReadings, Difference]], exact: Differ
     assert (np.sum(held, axis=0) >= 16).all(), np.sum(held, axis=0)
 
 
-def made_up(scene: Scene, paths_mm: tuple[float, float], weight: float, photons: int = 40_000) -> PairedReadings:
+def synthetic(scene: Scene, paths_mm: tuple[float, float], weight: float, photons: int = 40_000) -> PairedReadings:
     """Every photodiode's light with these paths in both zones of the bed, so much of it."""
     names, count = optics.absorbers(scene), len(scene.layout.photodiode_names)
     path = np.zeros((count * 1000, len(names)), np.float32)
@@ -269,7 +269,7 @@ def test_scattering_of_blood_is_evaluated_by_the_signal(paths_mm):
     scatters less than the dermis whose place it takes. Expected: the slope of ln reading by ln mu_s', here 2, times the
     relative change of mu_s' along the path, as a fraction of the signal; beyond a tolerance of 2 % it matters."""
     scene = revised(prototype(), ONE_WAVELENGTH)
-    base, denser = made_up(scene, paths_mm, 1.0), made_up(scene, paths_mm, SCATTERING_FACTOR**2)
+    base, denser = synthetic(scene, paths_mm, 1.0), synthetic(scene, paths_mm, SCATTERING_FACTOR**2)
     computed = effects.blood_scattering(0.02, base, denser)
     share, blood = np.array(paths_mm) / 4, np.diff(paired.end_states(scene), axis=0)[0]
     mu_a = float(tissue.blood_mu_a_per_mm(800.0, scene.blood.rest_so2))
@@ -285,7 +285,7 @@ def test_what_moves_no_reading_by_the_tolerance_is_evaluated_by_the_signal():
     """Expected: 0.1 % of a reading but 30 % of the signal matters; beyond the tolerance the reading judges, and where
     a touch moves no blood."""
     usual = revised(prototype(), ONE_WAVELENGTH)
-    base, still = (made_up(one, (4.0, 0.0), 1.0) for one in (usual, revised(usual, {"touch": {"force_n": 0.0}})))
+    base, still = (synthetic(one, (4.0, 0.0), 1.0) for one in (usual, revised(usual, {"touch": {"force_n": 0.0}})))
     some = np.full(base.level.shape, 1e-3)
     signal = Estimates(300 * some, 10 * some)
     change = effects.Change("bone", True, "none")

@@ -21,7 +21,7 @@ NAMES = ("axis.1", "axis.3")
 SO2 = np.linspace(0.5, 1.0, 51)
 # The line measured on fingers, and one of longer red paths; each known within 1 %.
 RATIO = np.stack([(110.9 - 100 * SO2) / 33.2, (110.9 - 100 * SO2) / 28.0])
-KNOWN = xr.Dataset(
+CALIBRATION = xr.Dataset(
     variable("ratio", ("photodiode", "so2"), RATIO, "ratio of ratios", stderr=0.01 * RATIO),
     {"photodiode": list(NAMES), "so2": SO2},
 )
@@ -73,7 +73,7 @@ def test_the_error_of_a_slow_recordings_ratio_is_its_scatter():
     for seed in range(40):
         made = recorded(0.9, seed=seed, noise=3e-4)
         slow = replace(made, time_s=made.time_s[::10], volts=made.volts[..., ::10], dark_v=made.dark_v[:, ::10])
-        estimates = spo2_over_time(slow, KNOWN, SCENE).isel(time=slice(0, None, 8))
+        estimates = spo2_over_time(slow, CALIBRATION, SCENE).isel(time=slice(0, None, 8))
         off.append((estimates.ratio - estimates.ratio.mean("time")).values)
         stated.append(estimates.ratio_stderr.values)
     assert np.shape(off) == (40, 2, 4)
@@ -88,7 +88,7 @@ def test_noise_of_a_dark_slot_does_not_bias_the_saturation():
     for seed in range(40):
         made, drawn = recorded(0.9, seed=seed, noise=2.4e-4), np.random.default_rng(100 + seed)
         dark_v = made.dark_v + 8e-4 * drawn.standard_normal(made.dark_v.shape)
-        estimates.append(spo2_over_time(replace(made, dark_v=dark_v), KNOWN, SCENE).spo2.values)
+        estimates.append(spo2_over_time(replace(made, dark_v=dark_v), CALIBRATION, SCENE).spo2.values)
     assert np.mean(estimates, axis=(0, 2)) == pytest.approx(90.0, abs=1.0)
 
 
@@ -102,14 +102,14 @@ def test_the_interval_covers_the_truth_in_95_of_100_recordings(noise):
     inside, relative = [], []
     for seed in range(150):
         so2 = 0.72 + 0.26 * seed / 149
-        estimates = spo2_over_time(recorded(so2, seed=seed, seconds=12.0, noise=noise), KNOWN, SCENE).isel(time=2)
+        estimates = spo2_over_time(recorded(so2, seed=seed, seconds=12.0, noise=noise), CALIBRATION, SCENE).isel(time=2)
         inside.append(((estimates.spo2_low <= 100 * so2) & (100 * so2 <= estimates.spo2_high)).values)
         relative.append((estimates.spo2 - 100 * so2) * Z95 / (estimates.spo2 - estimates.spo2_low))
     assert np.mean(inside) >= 0.90 and np.sqrt(np.mean(np.square(relative))) == pytest.approx(1.0, abs=4 * 0.05)
 
 
 def test_rate_perfusion_and_saturation_are_estimated_in_every_window():
-    estimates = spo2_over_time(recorded(0.9, seed=3), KNOWN, SCENE)
+    estimates = spo2_over_time(recorded(0.9, seed=3), CALIBRATION, SCENE)
     assert estimates.attrs["versions"].startswith("nailoptics=")
     assert np.all(abs(estimates.rate_per_min - 72.0) < 4.0)
     assert np.all(abs(estimates.perfusion_index_infrared - 2e-3) < 3e-4)
@@ -125,7 +125,7 @@ def test_times_of_a_clock_keep_all_their_digits():
     by_clock = replace(here, time_s=here.time_s + 1763900000.0)
     rows = oximeter_csv(by_clock, ("red", "infrared")).splitlines()[1:]
     assert [float(row.split(",")[0]) for row in rows] == by_clock.time_s.tolist()
-    estimates = spo2_over_time(by_clock, KNOWN, SCENE)
+    estimates = spo2_over_time(by_clock, CALIBRATION, SCENE)
     assert [
         float(row.split(",")[0]) for row in spo2_csv(estimates).splitlines()[1:]
     ] == 2 * estimates.time.values.tolist()
@@ -150,7 +150,7 @@ def test_slots_are_read_at_the_times_of_the_red_one(tmp_path):
 
 
 def test_motion_is_marked_where_it_was_and_nowhere_else():
-    still, moved = (spo2_over_time(recorded(0.9, seed=5, moved=one), KNOWN, SCENE) for one in (False, True))
+    still, moved = (spo2_over_time(recorded(0.9, seed=5, moved=one), CALIBRATION, SCENE) for one in (False, True))
     with_it = abs(moved.time - 18.5) < 3.5
     assert np.all(moved.motion.where(with_it, drop=True) > 0.1)
     assert np.all(moved.motion.where(abs(moved.time - 18.5) > 6.5, drop=True) < 0.05)
@@ -185,7 +185,7 @@ def test_files_of_oximeter_modules_give_ratio_and_beats(tmp_path):
     scene = SCENE.model_copy(update={"oximeter": SCENE.oximeter.model_copy(update={"frame_hz": 64.0, "slots": None})})
     for so2 in (0.75, 0.97):
         for file in module_files(tmp_path, so2):
-            estimates = spo2_over_time(read_for(scene, file), KNOWN, scene)
+            estimates = spo2_over_time(read_for(scene, file), CALIBRATION, scene)
             assert abs(float(estimates.rate_per_min[0, 0]) - 75.0) < 1.5
             assert float(estimates.ratio[0, 0]) == pytest.approx((110.9 - 100 * so2) / 33.2, abs=0.03), file
             assert list(estimates.photodiode.values) == ["axis.1"]
@@ -225,13 +225,15 @@ def test_recordings_without_information_are_refused_in_one_line():
         (replace(made, photodiodes=("axis.1", "other")), "not one of"),
     ):
         with pytest.raises(InputError, match=words) as error:
-            spo2_over_time(broken, KNOWN, SCENE)
+            spo2_over_time(broken, CALIBRATION, SCENE)
         assert "\n" not in str(error.value)
 
 
 def test_a_curve_with_two_saturations_for_a_ratio_is_refused_in_one_line():
     """Expected: the photodiode is named whose ratio of ratios falls and rises again."""
-    turning = KNOWN.assign(ratio=KNOWN.ratio.where(KNOWN.photodiode != "axis.3", 1.0 + (KNOWN.so2 - 0.75) ** 2))
+    turning = CALIBRATION.assign(
+        ratio=CALIBRATION.ratio.where(CALIBRATION.photodiode != "axis.3", 1.0 + (CALIBRATION.so2 - 0.75) ** 2)
+    )
     with pytest.raises(InputError, match="R of photodiode 'axis.3' both rises and falls with SpO2") as error:
         spo2_over_time(recorded(0.9, seed=2), turning, SCENE)
     assert "\n" not in str(error.value)

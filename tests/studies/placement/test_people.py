@@ -73,7 +73,7 @@ def test_what_of_a_board_reaches_over_a_narrow_nail_is_cut_and_parts_there_do_no
 
 
 @pytest.fixture(scope="module")
-def judged(chosen_jit):
+def evaluated(chosen_jit):
     """Two layouts on the usual finger, on two people, and on a third with a nail too narrow for the far one."""
     scene = parse_scene(PEOPLE)
     base, rules = boards.base_board(scene), boards.rules(scene)
@@ -91,10 +91,10 @@ def judged(chosen_jit):
 
 
 @pytest.mark.long
-def test_a_person_is_read_as_a_finger_with_the_same_values(judged):
+def test_a_person_is_read_as_a_finger_with_the_same_values(evaluated):
     """Rationale: a person's light is recorded on the photodiodes alone, on a coarser grid of distances. Expected: the
     resolution on a placement's only finger that has the person's values, by photons of another seed."""
-    base, rules, layouts, cache, _, scores = judged
+    base, rules, layouts, cache, _, scores = evaluated
     person = cache.people[0]
     own = boards.worn_on(base, person)
     condition = place.finger_condition(own, FingerCase(name="one"), rules)
@@ -108,8 +108,8 @@ def test_a_person_is_read_as_a_finger_with_the_same_values(judged):
 
 
 @pytest.mark.long
-def test_who_cannot_wear_a_layout_resolves_nothing_with_it(judged, monkeypatch):
-    base, rules, layouts, cache, objective, scores = judged
+def test_who_cannot_wear_a_layout_resolves_nothing_with_it(evaluated, monkeypatch):
+    base, rules, layouts, cache, objective, scores = evaluated
     near, far = (score.force.fingers_n[0] for score in scores)
     assert near[3] < 0.2 and far[3] > 5 and (far[:3] < 0.5).all()
     assert scores[1].force.all_n[0] == far[3] and scores[0].force.all_n[0] == near[1:].max()
@@ -126,8 +126,8 @@ def test_who_cannot_wear_a_layout_resolves_nothing_with_it(judged, monkeypatch):
 
 
 @pytest.mark.long
-def test_fingers_are_read_the_same_whether_or_not_there_are_people(judged):
-    base, rules, layouts, cache, _, scores = judged
+def test_fingers_are_read_the_same_whether_or_not_there_are_people(evaluated):
+    base, rules, layouts, cache, _, scores = evaluated
     alone = cache_of(cache.conditions[:1])
     alone.extend(layouts[0].board, 1 << 18)
     score = score_layout(layouts[0], alone, objective_of(rules, alone.conditions))
@@ -135,10 +135,10 @@ def test_fingers_are_read_the_same_whether_or_not_there_are_people(judged):
 
 
 @pytest.mark.long
-def test_tolerances_of_gluing_and_power_are_those_of_layouts_with_them(judged, monkeypatch):
+def test_tolerances_of_gluing_and_power_are_those_of_layouts_with_them(evaluated, monkeypatch):
     """Expected: a board glued 0.5 mm to the left as a layout whose places all lie there, by light of another seed; an
     LED of a quarter more power, as a scene with such an LED on the same light."""
-    base, rules, layouts, cache, _, _ = judged
+    base, rules, layouts, cache, _, _ = evaluated
     on_finger = cache.conditions[:1]
     objective = objective_of(rules, on_finger)
     layout = replace(layouts[0], scene=cache.with_resistors(layouts[0].scene, layouts[0].board))

@@ -89,10 +89,10 @@ def test_the_budget_of_the_force_is_its_error_cause_by_cause():
     point, blocks = replace(_point(None), body=body), np.ones((3, 1))
     stage = electronics.NoiseBudget(*(part * 4e-5**2 for part in (0.5, 0.2, 0.1, 0.05, 0.15)))
     by_led, rng = [], np.random.default_rng(0)
-    for led, seen in enumerate((_read(point), _read(point))):
-        zone_v, light_v = blocks[..., None] * seen.zone_v * (1 - 0.3 * led), blocks * seen.light_v
+    for led, read in enumerate((_read(point), _read(point))):
+        zone_v, light_v = blocks[..., None] * read.zone_v * (1 - 0.3 * led), blocks * read.light_v
         shared = {"body_v": body.shapes_v(zone_v, light_v, led), "independent_v2": (body.reading_gain * light_v) ** 2}
-        slope, noise_v2 = zone_v @ point.blood_per_pa, blocks * seen.noise_v2
+        slope, noise_v2 = zone_v @ point.blood_per_pa, blocks * read.noise_v2
         one = information.Response(
             light_v, noise_v2, slope, zone_v, 0 * light_v, light_v=light_v, noise=stage, **shared
         )
@@ -303,16 +303,16 @@ def test_intervals_with_physiological_noise_have_their_nominal_coverage():
     mean = np.column_stack([light, 0.3 * light, -light[:, None] * blood])
     layout = SimpleNamespace(scene=scene, board=scene)
 
-    def judged(blocks: np.ndarray) -> LayoutScore:
+    def scored(blocks: np.ndarray) -> LayoutScore:
         read = information.response(leave_one_out(blocks), scene, 0, scene.photodiodes[0], point)
         cache = SimpleNamespace(read=lambda *_: [[read]], conditions=[SimpleNamespace(point=point)])
         return score_layout(layout, cache, Objective(Placement(), [point]))
 
-    true_n = float(judged(np.repeat(mean[None], 2, axis=0)).force.all_n[0])
+    true_n = float(scored(np.repeat(mean[None], 2, axis=0)).force.all_n[0])
     assert true_n < 1.1 * information.physiological_noise_force_n(point)
     rng = np.random.default_rng(4)
     # Blocks of one photon map that scatter by 30 %, so that their mean is known to 5 %.
-    every = [judged(mean * (1 + 0.3 * rng.normal(size=(32, *mean.shape)))) for _ in range(600)]
+    every = [scored(mean * (1 + 0.3 * rng.normal(size=(32, *mean.shape)))) for _ in range(600)]
     held = np.mean([one.force.interval_n[0] <= true_n <= one.force.interval_n[1] for one in every])
     assert 0.90 <= held <= 0.98, held
     scatter = np.std([float(one.force.all_n[0]) for one in every])
@@ -331,17 +331,17 @@ def test_errors_over_touches_scatter_by_their_standard_errors():
     light, blood = np.array([2e-5, 6e-5, 5e-5, 2e-5]), np.array([[16, 3], [12, 6], [8, 9], [4, 12]])
     mean = np.column_stack([light, 0.3 * light, -light[:, None] * blood])
 
-    def judged(blocks: np.ndarray) -> LayoutScore:
+    def scored(blocks: np.ndarray) -> LayoutScore:
         read = information.response(leave_one_out(blocks), scene, 0, scene.photodiodes[0], point, replicates=True)
         cache = SimpleNamespace(read=lambda *_: [[read]], conditions=[SimpleNamespace(point=point)])
         return score_layout(SimpleNamespace(scene=scene, board=scene), cache, objective)
 
     rng = np.random.default_rng(4)
-    every = [judged(mean * (1 + 0.3 * rng.normal(size=(32, *mean.shape)))) for _ in range(16)]
+    every = [scored(mean * (1 + 0.3 * rng.normal(size=(32, *mean.shape)))) for _ in range(16)]
     values_n = [float(one.ranked[0]) for one in every]
     error_n = np.mean([one.relative_error * value_n for one, value_n in zip(every, values_n, strict=True)])
     assert error_n == pytest.approx(np.std(values_n, ddof=1), rel=0.5)
-    assert 0.4 < float(judged(np.zeros((32, *mean.shape))).ranked[0]) < 0.5
+    assert 0.4 < float(scored(np.zeros((32, *mean.shape))).ranked[0]) < 0.5
 
 
 def quiet(text):
@@ -422,6 +422,6 @@ def test_layouts_are_ranked_by_the_filters_error_over_touches(computed, fewer_ph
     text, lines = page(by_touches), placement.lines(placement.summary(by_touches))
     assert "Error over touches<br>[mN]" in text and "error of the force over touches [mN]" in text
     assert "Error over touches [mN]" in lines[0]
-    said = next(line for line in lines if "depend on the layout" in line)
-    assert "of a finger that is known exactly" in said and "depend on the layout" in text
+    sentence = next(line for line in lines if "depend on the layout" in line)
+    assert "of a finger that is known exactly" in sentence and "depend on the layout" in text
     assert np.isfinite(by_touches.tolerance_ranking_stderr).any()

@@ -450,13 +450,13 @@ def test_the_ranking_is_as_stable_over_seeds_as_its_stated_confidence(chosen_jit
     middle = candidates.candidate_scene(base, Candidate(name="middle", leds_mm=((-3.0, 0.0),), photodiodes_mm=places))
     layouts.append(candidates.CandidateLayout("middle", middle, layouts[0].board, "given"))
     conditions = [photon_maps.FingerCondition(FingerCase(name="one"), information.operating_point(base, 0.5))]
-    judged, worst = [], Objective(boards.rules(scene), [condition.point for condition in conditions])
+    scored, worst = [], Objective(boards.rules(scene), [condition.point for condition in conditions])
     for seed in range(20):
         cache = photon_map_cache(conditions, seed=seed, stream=1, blocks=32)
         cache.extend(layouts[0].board, 1 << 20)
-        judged.append([score_layout(layout, cache, worst) for layout in layouts])
-    score = np.log([[float(one.force.all_n[0]) for one in row] for row in judged])
-    error = np.array([[one.relative_error for one in row] for row in judged])
+        scored.append([score_layout(layout, cache, worst) for layout in layouts])
+    score = np.log([[float(one.force.all_n[0]) for one in row] for row in scored])
+    error = np.array([[one.relative_error for one in row] for row in scored])
     # 19 degrees of freedom know a variance to 32 %; the layouts share photons, so that they count as one.
     ratio = score.var(0, ddof=1) / (error**2).mean(0)
     assert np.all(ratio < 3.0), ratio
@@ -470,7 +470,7 @@ def test_the_ranking_is_as_stable_over_seeds_as_its_stated_confidence(chosen_jit
     for a, b in ((0, 1), (0, 2), (1, 2)):
         signs = [
             np.sign(score[i, a] - score[i, b])
-            for i, row in enumerate(judged)
+            for i, row in enumerate(scored)
             if row[a].force.interval_n[0] > row[b].force.interval_n[1]
             or row[b].force.interval_n[0] > row[a].force.interval_n[1]
         ]
@@ -582,9 +582,9 @@ def test_a_further_layout_on_a_traced_board_takes_milliseconds(chosen_jit, scene
     spent = []
     for _ in range(5):
         begin = time.perf_counter()
-        judged = score_layout(layouts[1], cache, worst)
+        scored = score_layout(layouts[1], cache, worst)
         spent.append(time.perf_counter() - begin)
-    assert min(spent) < 0.05 and np.all(np.isfinite(judged.force.all_n))
+    assert min(spent) < 0.05 and np.all(np.isfinite(scored.force.all_n))
 
 
 @pytest.mark.long

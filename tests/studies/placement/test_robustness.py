@@ -42,13 +42,13 @@ def ranked(chosen_jit):
         )
     ]
     conditions = [finger_condition(base, case, rules) for case in boards.fingers(scene)]
-    judged = PhotonMapCache(conditions, seed=1, stream=1, backend="auto", blocks=16)
+    photon_maps = PhotonMapCache(conditions, seed=1, stream=1, backend="auto", blocks=16)
     for layout in layouts:
-        judged.traced_board(layout.board).areas.extend(layout.scene.layout.photodiode_areas)
+        photon_maps.traced_board(layout.board).areas.extend(layout.scene.layout.photodiode_areas)
     # One board, whose light is traced once for both.
-    judged.extend(layouts[0].board, 1 << 19)
-    result = resolution_over_priors(layouts, rules, judged)
-    return base, rules, layouts, judged, result.assign_coords(layout=list(places))
+    photon_maps.extend(layouts[0].board, 1 << 19)
+    result = resolution_over_priors(layouts, rules, photon_maps)
+    return base, rules, layouts, photon_maps, result.assign_coords(layout=list(places))
 
 
 def test_the_ranking_covers_every_prior_that_only_absorbs(ranked):
@@ -70,12 +70,12 @@ def test_the_ranking_covers_every_prior_that_only_absorbs(ranked):
 
 def test_a_node_has_the_resolution_of_a_placement_on_that_finger(ranked):
     """Rationale: the same layout judged on a finger that has the node's value, by photons of its own."""
-    base, rules, layouts, judged, result = ranked
+    base, rules, layouts, photon_maps, result = ranked
     prior = next(one for one in base.priors.of_finger() if one.field == FIELDS[0])
     clear = at_value(base, prior.field, nodes_of(prior)[0])
     layout = candidates.candidate("near", at_value(layouts[0].scene, prior.field, nodes_of(prior)[0]), "given")
     cache = PhotonMapCache(
-        [finger_condition(clear, judged.cases[0], rules)], seed=9, stream=1, backend="auto", blocks=16
+        [finger_condition(clear, photon_maps.cases[0], rules)], seed=9, stream=1, backend="auto", blocks=16
     )
     cache.extend(layout.board, 1 << 19)
     score = score_layout(layout, cache, Objective(rules, [one.point for one in cache.conditions]))
@@ -98,30 +98,30 @@ def test_robust_conclusions_are_reported_in_words_and_on_the_page(ranked):
 
 def test_out_of_time_only_complete_readings_are_reported(ranked, monkeypatch):
     """Expected: all fingers of one digit share their light; the second layout is not begun."""
-    _, rules, layouts, judged, _ = ranked
+    _, rules, layouts, photon_maps, _ = ranked
     checks = itertools.count()
-    monkeypatch.setattr(judged, "stop", lambda: next(checks) >= 1)
-    result = resolution_over_priors(layouts, rules, judged)
+    monkeypatch.setattr(photon_maps, "stop", lambda: next(checks) >= 1)
+    result = resolution_over_priors(layouts, rules, photon_maps)
     assert np.isfinite(result.resolution_spread.values).tolist() == [True, False]
     calls = next(checks)
     assert calls == 2
-    monkeypatch.setattr(judged, "stop", lambda: True)
-    assert not resolution_over_priors(layouts, rules, judged)
+    monkeypatch.setattr(photon_maps, "stop", lambda: True)
+    assert not resolution_over_priors(layouts, rules, photon_maps)
 
 
 def test_a_prior_of_scattering_is_traced_by_itself(ranked):
     """Expected: a bed that scatters hardly otherwise is estimated by photons of its own, and as the usual one."""
-    _, rules, layouts, judged, _ = ranked
+    _, rules, layouts, photon_maps, _ = ranked
     scatters = next(one for one in layouts[0].board.priors.of_finger() if one.field == FIELDS[2])
     middle = float(np.sqrt(scatters.low * scatters.high))
     own = PriorRange(field=scatters.field, low=0.98 * middle, high=1.02 * middle)
     priors = layouts[0].board.priors.model_copy(update={"own_traces": True, "ranges": (own,)})
     layout = replace(layouts[0], board=layouts[0].board.model_copy(update={"priors": priors}))
-    judged.traced_board(layout.board).areas.extend(layout.scene.layout.photodiode_areas)
-    judged.extend(layout.board, 1 << 19)
-    result = resolution_over_priors([layout], rules, judged)
+    photon_maps.traced_board(layout.board).areas.extend(layout.scene.layout.photodiode_areas)
+    photon_maps.extend(layout.board, 1 << 19)
+    result = resolution_over_priors([layout], rules, photon_maps)
     retraced = result.isel(prior=result.prior_field.values.tolist().index(FIELDS[2]), layout=0)
-    score = score_layout(layout, judged, Objective(rules, [one.point for one in judged.conditions]))
+    score = score_layout(layout, photon_maps, Objective(rules, [one.point for one in photon_maps.conditions]))
     assert str(retraced.prior_how.values) == "retraced"
     nodes = retraced.resolution_at_node_n.values
     assert len(set(nodes)) > 1 and score.relative_error < 0.1
@@ -130,14 +130,14 @@ def test_a_prior_of_scattering_is_traced_by_itself(ranked):
 
 def test_priors_of_the_bodys_waves_spread_the_resolution(ranked):
     """Expected: with breathing between the ends of its prior the false force by it goes with its amplitude."""
-    _, rules, layouts, judged, _ = ranked
+    _, rules, layouts, photon_maps, _ = ranked
     board = layouts[0].board.model_copy(update={"body": Body(breathing=Breathing())})
     waves = board.priors.of_body(board.body)
     known = tuple(one.field for one in Priors().of_finger())
     layout = replace(layouts[0], board=board.model_copy(update={"priors": Priors(known=known)}))
-    judged.traced_board(layout.board).areas.extend(layout.scene.layout.photodiode_areas)
-    judged.extend(layout.board, 1 << 18)
-    result = resolution_over_priors([layout], rules, judged)
+    photon_maps.traced_board(layout.board).areas.extend(layout.scene.layout.photodiode_areas)
+    photon_maps.extend(layout.board, 1 << 18)
+    result = resolution_over_priors([layout], rules, photon_maps)
     assert result.prior_field.values.tolist() == [one.field for one in waves] == ["body.breathing.amplitude_pa"]
     nodes = result.resolution_at_node_n.values[0, :, 0]
     assert np.all(np.diff(nodes) > 0) and nodes[2] > 1.5 * nodes[0]

@@ -62,8 +62,8 @@ class MadeLight:
         light = 1e-4 * np.exp(-away / reach)
         # What lies between them is seen: mostly at the middle of the way.
         weight = BloodZones((0.0,), 2.0).weights(((where[..., 1] + place[1]) / 2).ravel()).reshape(*away.shape, 2)
-        seen = -light[..., None] * weight * (3.0 * away / (1.0 + away))[..., None]
-        values = np.concatenate([light[..., None], 0.1 * light[..., None], seen], -1)
+        by_blood = -light[..., None] * weight * (3.0 * away / (1.0 + away))[..., None]
+        values = np.concatenate([light[..., None], 0.1 * light[..., None], by_blood], -1)
         one.sums[:] = search.SEARCH_PHOTONS * np.moveaxis(values, -1, 0)[:, None]
         one.photons = search.SEARCH_PHOTONS
 

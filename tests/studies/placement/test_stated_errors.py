@@ -27,7 +27,7 @@ photodiodes_mm = [[-0.8, -2.5], [-0.8, -1.5], [-0.8, -0.5], [-0.8, 0.5], [-0.8, 
 FIELDS = ("finger.plate_absorption", "finger.bed_absorption")
 PHOTONS, SEEDS = 1 << 18, range(20)
 # Where so much of a number is noise, its error is not known well enough to be judged by twenty seeds.
-KNOWN = 0.25
+MOST_RELATIVE_ERROR = 0.25
 
 
 def scene() -> Scene:
@@ -50,16 +50,16 @@ def computed(chosen_jit) -> list[xr.Dataset]:
         patch.undo()
 
 
-def assert_true(values: np.ndarray, errors: np.ndarray, name: str) -> None:
+def assert_calibrated(values: np.ndarray, errors: np.ndarray, name: str) -> None:
     """Distances from the mean over the seeds, in standard errors, of what is known well enough.
 
     Expected: a root mean square of 1 within the 50 % that three times the chance of twenty seeds is.
     """
     estimated = (np.isfinite(values) & np.isfinite(errors) & (errors > 0)).all(0)
     values, errors = values[:, estimated], errors[:, estimated]
-    sure = errors.mean(0) < KNOWN * np.abs(values.mean(0))
-    assert sure.any(), (name, estimated.sum())
-    away = ((values - values.mean(0)) / errors)[:, sure] * np.sqrt(len(values) / (len(values) - 1))
+    resolved = errors.mean(0) < MOST_RELATIVE_ERROR * np.abs(values.mean(0))
+    assert resolved.any(), (name, estimated.sum())
+    away = ((values - values.mean(0)) / errors)[:, resolved] * np.sqrt(len(values) / (len(values) - 1))
     assert 0.5 < np.sqrt(np.mean(away**2)) < 1.5, (name, np.sqrt(np.mean(away**2)))
 
 
@@ -82,7 +82,7 @@ def assert_true(values: np.ndarray, errors: np.ndarray, name: str) -> None:
 )
 def test_stated_errors_of_layouts(computed, name):
     """Expected: what other seeds scatter by."""
-    assert_true(*(np.array([one[f"{name}{end}"].values for one in computed]) for end in ("", "_stderr")), name)
+    assert_calibrated(*(np.array([one[f"{name}{end}"].values for one in computed]) for end in ("", "_stderr")), name)
 
 
 def test_errors_of_the_sensitivity_over_the_board(computed):
@@ -97,14 +97,14 @@ def test_errors_of_the_sensitivity_over_the_board(computed):
 @pytest.mark.parametrize("name", ["checked_resolution_n"])
 def test_errors_of_the_verification_of_the_best_layout(computed, name):
     """Expected: what other seeds scatter by."""
-    assert_true(*(np.array([[one.attrs[f"{name}{end}"]] for one in computed]) for end in ("", "_stderr")), name)
+    assert_calibrated(*(np.array([[one.attrs[f"{name}{end}"]] for one in computed]) for end in ("", "_stderr")), name)
 
 
 def test_the_error_of_the_gain_over_the_papers_layout(computed):
     """Expected: what other seeds scatter by; the better of the two is the same for every seed."""
     assert all(one.layout.values.tolist() == ["near", "paper"] for one in computed)
     better = np.array([gains(one)["paper"] for one in computed])
-    assert_true(better[:, [0]], better[:, [1]], "gain")
+    assert_calibrated(better[:, [0]], better[:, [1]], "gain")
 
 
 def test_ends_of_intervals(computed):
