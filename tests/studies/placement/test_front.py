@@ -38,7 +38,7 @@ def test_the_best_of_each_number_is_chosen_by_one_half_and_evaluated_by_the_othe
         }
     )
     layout = candidates.candidate("mine", drawn, "given")
-    cache.extend(layout.board, 1 << 16)
+    cache.extend(layout.board, 1 << 17)
     before, chosen = cache.photons, []
     original = candidates.searched
 
