@@ -26,7 +26,7 @@ from nailoptics.light import backend  # noqa: E402
 
 # What a script starts in its background ignores Ctrl-C, and so would the commands that tests start and interrupt.
 signal.signal(signal.SIGINT, signal.default_int_handler)
-# As on the command line: there is much that stays, which the collector would look through again and again.
+# As on the command line: there is much that stays, which the collector would scan again and again.
 gc.set_threshold(10_000)
 # No test reads or writes the user's store; those that test one have their own.
 os.environ["NAILOPTICS_STORE"] = "off"
@@ -63,7 +63,7 @@ def shared_light(shared_store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="session")
 def fewer_photons(shared_store: Path) -> Callable[[], AbstractContextManager[None]]:
-    """Lets a placement look at its best layout, and at what is unknown of the finger, with a quarter of the photons,
+    """Lets a placement verify its best layout, and vary the priors of the finger, with a quarter of the photons,
     and so at the board glued elsewhere.
 
     Each number's error grows with that, and tests that compare two of them bound those errors, too.
@@ -88,7 +88,7 @@ def fewer_photons(shared_store: Path) -> Callable[[], AbstractContextManager[Non
 
 @pytest.fixture(scope="module")
 def few_photons_beside() -> Iterator[None]:
-    """Few photons where nobody can ask for fewer, of light from outside and of rough readings before a trace: for tests
+    """Few photons where no option sets fewer, of light from outside and of rough readings before a trace: for tests
     that do not compare these."""
     ambient, detect = (import_module(f"nailoptics.{name}") for name in ("sensor.ambient", "light.detect"))
     with pytest.MonkeyPatch.context() as patch:
@@ -212,7 +212,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    # What is loaded by now stays to the end: the collector need not look through it again, nor when pytest ends.
+    # What is loaded by now stays to the end: the collector need not scan it again, nor when pytest ends.
     gc.freeze()
 
 

@@ -1,4 +1,4 @@
-"""How well force could be estimated if nothing were unknown: people who are the fitted model, with their own bodies.
+"""The least error of force by a calibration without error: people who are the fitted model, with their own bodies.
 
 What is left is the body's own noise: heartbeat, breathing, vasomotion and drift move the readings as touches do.
 """
@@ -21,7 +21,7 @@ from nailoptics.studies.force.person import Person
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.subject import Subject
 
-# Steps of derivatives by pressures [N/cm^2, N/cm^2, Pa], and what is known of the touch's before any reading.
+# Steps of derivatives by pressures [N/cm^2, N/cm^2, Pa], and the prior of the touch's.
 STEPS, TOUCH_SPREAD = np.array([0.01, 0.01, 50.0]), 0.5
 # The slow waves of a body fill the band about their middle: so long they keep their phase. [s]
 SLOW_COHERENCE_S, BREATH_COHERENCE_S = 4.0, 30.0
@@ -52,7 +52,7 @@ def exactly_calibrated(subject: Subject, scene: Scene) -> Subject:
 
 
 def _beat(heart: Heartbeat, who: Person) -> CardiacOscillator:
-    """What the observer knows of a heart that beats evenly: what the vessels at rest pass on of it."""
+    """The filter's model of a heart that beats evenly: what the vessels at rest pass on of it."""
     rate_hz = heart.rate_per_min / 60.0
     course = cardiac_pressure(
         np.arange(256) / (256 * rate_hz), pulse_pressure_pa=heart.pulse_pressure_pa, rate_per_min=heart.rate_per_min
@@ -83,7 +83,7 @@ def modelled(subject: Subject, scene: Scene, touch: Recording, *, seed: int) -> 
 
 
 def floor_n(subject: Subject, person: VirtualPerson, kind: str, site: Site, *, seed: int = 3) -> float:
-    """Rms error of some touches with everything known. [N]"""
+    """Rms error of some touches by a calibration without error. [N]"""
     touch = person.recording(kind, site, seed=1)
     played = touch_of(person.scene, TOUCHES[kind], site, person.rate_hz)
     recording = modelled(subject, person.scene.model_copy(update={"touch": played}), touch, seed=seed)
@@ -93,10 +93,10 @@ def floor_n(subject: Subject, person: VirtualPerson, kind: str, site: Site, *, s
 
 
 def one_sample_n(subject: Subject, site: Site, force_n: float) -> float:
-    """Standard error of a held touch estimated from one sample (Cramer-Rao), the person known exactly. [N]
+    """Standard error of a held touch estimated from one sample (Cramer-Rao), the person calibrated without error. [N]
 
-    Its noise is that of the readings, half a minute of drift, and the slow waves of the arterial pressure as the
-    calibration saw them: a heartbeat is averaged out. Only samples before and after can determine the touch better.
+    Its noise is that of the readings, half a minute of drift, and the slow waves of the arterial pressure as
+    calibrated: a heartbeat is averaged out. Only samples before and after can determine the touch better.
     """
     who, rest_v, gain = subject.person, subject.rest_v, subject.readings.gain
     held = np.append(who.pressures_n_per_cm2(np.array([force_n]), np.array([SITES[site]]))[:, 0], 0.0)

@@ -23,7 +23,7 @@ Series = Callable[[str, str], tuple[Iterable[float], ...]]
 def keep(path: Path, simulator: str, rows: list[dict[str, Any]], series: Series) -> None:
     """Write a simulator's rows (touches, and numbers by name) into a file, in place of those it had.
 
-    series : times, known and estimated forces and their bounds, of a person and touches.
+    series : times, measured and estimated forces and their bounds, of a person and touches.
     """
     known = json.loads(path.read_text()) if path.exists() else {}
     shown = [{name: row[name] for name in COLUMNS if name in row} for row in rows]

@@ -36,7 +36,7 @@ SITES: tuple[record.Site, ...] = (*record.SIDES, "even")
 CALIBRATIONS = {"protocol": ("protocol",), "cycles": ("calibration", "quick")}
 # Touches up to here are what the goals of rms are for; the last slow cycle is for closure. [N]
 MOST_N = 1.0
-# A reading past which less than this part of its change is left is past closure; looked for up to MOST_SEARCHED_N.
+# A reading past which less than this part of its change is left is past closure; searched up to MOST_SEARCHED_N.
 LEFT_AT_CLOSURE, MOST_SEARCHED_N = 0.05, 4.0
 # An interval that covers so much covers.
 COVERED = 0.9
@@ -160,13 +160,13 @@ def recordings_of(person: VirtualPerson, kinds: tuple[str, ...]) -> list[Recordi
 
 
 def required_samples(kind: str, time_s: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which samples of some touches may be judged: the last of the slow cycles goes beyond what is required."""
+    """Which samples of some touches are scored: the last of the slow cycles goes beyond what is required."""
     last = record.REST_S + record.PERIOD_S * np.flatnonzero(np.array(record.SLOW_N) > MOST_N)[0]
     return np.asarray(time_s < last) if kind == "slow" else np.ones(time_s.shape, bool)
 
 
 def score(subject: Subject, person: VirtualPerson, kind: str, site: record.Site) -> Score:
-    """How well touches are estimated that the calibration has not seen."""
+    """How well held-out touches are estimated."""
     recording = person.recording(kind, site, seed=1)
     estimated = predict(subject, recording)
     force_n, closure_n = estimated.known_force_n.values, person.closure_n(site)
@@ -203,7 +203,7 @@ def thinned(recording: Recording, rate_hz: float) -> Recording:
 
 
 def presses_at_rest(subject: Subject, person: VirtualPerson, rest_s: float) -> int:
-    """Presses of the virtual switch while nobody touches."""
+    """Presses of the virtual switch without a touch."""
     corners = (np.array([0.0, rest_s]), np.zeros(2))
     untouched = record.touch_of(person.scene, corners, "proximal", rate_hz=person.rate_hz)
     still = record.record_touch(person.scene, person.light, untouched, seed=77)

@@ -20,7 +20,7 @@ RIGID_PULP = Pulp(creep=0.0, creep_s=2.0, recovery_s=0.0)
 
 
 def scene() -> Scene:
-    """The prototype, whose readings these are, on a finger that does not give way."""
+    """The prototype, whose readings these are, on a finger that does not yield."""
     return on_rigid_pulp(load_scene(data_dir("scenes") / "prototype.toml"))
 
 

@@ -25,7 +25,7 @@ class NailCamera:
     """Reflectance factors of patches of a bare nail by volpath, in up to three blood states at once.
 
     scene : with what an eye sees (`nail_reflectance.as_seen`).
-    groups : of independent paths, by whose spread errors are known; FILM^2 is a multiple of it.
+    groups : of independent paths, by whose spread errors are estimated; FILM^2 is a multiple of it.
     """
 
     def __init__(self, scene: Scene, patches: Sequence[Patch], *, groups: int, backend: Backend) -> None:

@@ -1,4 +1,4 @@
-"""Whatever a result shows of itself, as Python and notebooks ask for it."""
+"""Whatever a result shows of itself, as Python and notebooks request it."""
 
 import json
 from typing import Any

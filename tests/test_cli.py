@@ -212,7 +212,7 @@ def test_help_and_version_are_quick_and_on_stdout(folder):
 
 def test_a_command_loads_nothing_that_it_has_no_use_for(folder):
     """Rationale: imports were a third of what a short command costs. Expected: no Dask where no cluster is requested,
-    no Mitsuba and no scipy.spatial where no light is traced; and whoever asks for a cluster gets Dask all the same."""
+    no Mitsuba and no scipy.spatial where no light is traced; and a cluster, where requested, still gets Dask."""
     code = """if True:
         import sys
         from nailoptics.cli import main
@@ -356,13 +356,13 @@ def test_scalar_phantoms_stop_at_max_seconds_with_exit_code_3(folder, capfd):
 @pytest.mark.long
 @pytest.mark.jit
 def test_a_photodiode_without_light_is_reported(folder, capfd, chosen_jit):
-    """No photon seen is no standard error known; it must not be reported as 0, nor break the JSON."""
+    """Without detected photons there is no standard error; it must not be reported as 0, nor break the JSON."""
     (folder / "quick.toml").write_text(QUICK)
     assert run(["simulate", "quick.toml", "--photons", "1000", "-o", "few", "--json"]) == 0
     out, err = capfd.readouterr()
     rows = json.loads(out)["readings"]
     assert any(row["volts_start_stderr"] is None for row in rows) and "detected no light" in err
-    # No reading is above 1, and of one photon it is not even sure that it is below 0.94.
+    # No reading is above 1, and of one photon it is not even significantly below 0.94.
     for photons, limit in (("5", -math.expm1(math.log(0.05) / 5)), ("1", 0.95)):
         assert run(["trace", "quick.toml", "--photons", photons, "--json"]) == 0
         limits = {row["upper_limit_95"] for row in only_json(capfd)["readings"] if "upper_limit_95" in row}
@@ -378,7 +378,7 @@ def test_the_help_of_explore_names_all_wavelengths_that_it_traces(capsys):
 
 @pytest.mark.jit
 def test_few_photons_have_no_standard_error(folder, capfd, chosen_jit):
-    """One photon has no spread, and that of a few says nothing; neither must pass for exact, nor break the JSON."""
+    """One photon has no spread, and that of a few is no estimate; neither must pass for exact, nor break the JSON."""
     (folder / "phantom.toml").write_text(PHANTOM)
     for photons in ("1", "4"):
         assert run(["trace", "phantom.toml", "--photons", photons, "--json"]) == 0
@@ -520,7 +520,7 @@ def test_an_aborting_library_does_not_crash_the_main_job(folder):
 @pytest.mark.long
 def test_volpath_falls_back_to_scalar_where_its_library_aborts(folder):
     """Rationale: libLLVM 15 and 16 compile the photons engine, and abort at volpath. Expected: volpath's answer comes
-    from the scalar backend, after one line that says so, and doctor distinguishes the two engines."""
+    from the scalar backend, after one line that reports it, and doctor distinguishes the two engines."""
     (folder / "stock.toml").write_text(PHANTOM + '\n[light]\nengine = "volpath"\n')
     (folder / "libLLVM-15.so").write_text("stands for one that aborts")
     (folder / "path").mkdir()
@@ -660,7 +660,7 @@ def test_max_seconds_bounds_the_tracing_with_a_reserve_for_the_rest(arguments, m
     ids=str,
 )
 def test_photographs_are_made_unless_there_is_a_time_limit(options, unmet, made, monkeypatch, folder):
-    """Expected: where they are asked for, they are made of what rays the time was enough for, but after Ctrl-C."""
+    """Expected: where requested, they are made of the rays that the time allowed, but not after Ctrl-C."""
     calls: list[int] = []
 
     def ended(*_, **__):

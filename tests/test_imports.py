@@ -263,7 +263,7 @@ THEIRS |= {
 
 
 def prose(path: Path) -> Iterator[str]:
-    """What a file says to its readers: comments and docstrings of a module, all of a page, the comments of data."""
+    """A file's text for its readers: comments and docstrings of a module, all of a page, the comments of data."""
     text = path.read_text(encoding="utf-8")
     if path.suffix == ".py":
         # To find comments takes long: only where there may be one that names a file.

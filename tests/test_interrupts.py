@@ -1,4 +1,4 @@
-"""Ctrl-C, a real one: whatever a command does, it ends soon, and what it says of what is kept is true."""
+"""Ctrl-C, a real one: whatever a command does, it ends soon, and reports correctly what is kept."""
 
 import json
 import os
@@ -77,7 +77,7 @@ def test_explore_ends_within_a_batch_and_writes_no_page_without_all_groups(folde
 @pytest.mark.long
 @pytest.mark.jit
 def test_explore_keeps_what_it_has_of_every_wavelength(folder, interrupting, small_page):
-    """Expected: in the second round of batches a page of both, which says so."""
+    """Expected: in the second round of batches a page of both, which reports it."""
     ended = interrupting.at(BATCH, *EXPLORE[:3], "24576", *EXPLORE[4:], call=26)
     assert (ended.code, ended.later) == (3, 0) and written(folder) == {"page.html"}
     why = "interrupted with 26624 of 36864 photons."

@@ -232,7 +232,7 @@ def test_no_changed_or_missing_byte_changes_a_number_that_is_read():
 
 
 def test_objects_are_neither_written_nor_read():
-    """An archive that asks for Python objects is refused, not unpickled."""
+    """An archive of Python objects is refused, not unpickled."""
     with pytest.raises(TypeError):
         io.pack({}, {"a": np.array([object()])})
     with_objects = BytesIO()
@@ -302,7 +302,7 @@ def small_disk(tmp_path):
 
 
 def assert_full(command: subprocess.Popen, folder: Path, kept: list[str]) -> None:
-    """One line on stderr that says what is missing, exit code 1, and no debris."""
+    """One line on stderr that names what is missing, exit code 1, and no debris."""
     out, err = command.communicate(timeout=300)
     lines = [line for line in err.splitlines() if "LED" not in line and "saturated:" not in line]
     assert (command.returncode, out, len(lines)) == (1, "", 1), err

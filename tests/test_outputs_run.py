@@ -107,7 +107,7 @@ def test_the_best_layout_is_recorded_calibrated_predicted_and_explored(jit_backe
     touch = Touch.model_validate({"profile": "protocol", "sample_rate_hz": 10.0})
     Path(recorded).write_text(to_toml(load_scene(best).model_copy(update={"touch": touch})))
     assert run(["simulate", recorded, "-o", str(tmp_path / "run"), "--recording", recording, *few]) == 0
-    # So few photons say nothing of the dimmest photodiode, in words.
+    # So few photons do not resolve the dimmest photodiode, in words.
     assert run(["calibrate", recorded, recording, "-o", subject, *few]) == 2
     assert "trace more photons" in capfd.readouterr().err
     few[1] = "400000"

@@ -44,7 +44,7 @@ def test_every_requirement_has_a_version_that_passed_in_its_range():
 
 @cache
 def stated(path: Path) -> tuple[set[str], str | None]:
-    """Top-level packages that a file imports, anywhere in it, and what it says of itself."""
+    """Top-level packages that a file imports, anywhere in it, and its description of itself."""
     module, names = ast.parse(path.read_text(encoding="utf-8")), set()
     for node in ast.walk(module):
         if isinstance(node, ast.Import):
@@ -61,7 +61,7 @@ def third_party(paths) -> set[str]:
 
 def test_a_plain_install_finds_its_assets_and_scenes(tmp_path):
     """Rationale: a wheel carries the data inside the package, a checkout beside it.
-    Expected: a copy laid out as the wheel's rules say reads its prototype from itself, parts and all."""
+    Expected: a copy laid out by the wheel's rules reads its prototype from itself, parts and all."""
     shutil.copytree(
         ROOT / "nailoptics", tmp_path / "nailoptics", ignore=shutil.ignore_patterns("__pycache__", "_assets", "_scenes")
     )

@@ -1,4 +1,4 @@
-"""The prototype's board on other fingers: worn, touched as the error over touches has it, and known exactly."""
+"""The prototype's board on other fingers: worn, touched as for the error over touches, and calibrated without error."""
 
 from typing import Any
 
@@ -20,7 +20,7 @@ PAPER_MM, PAPER_WIRED = 2.0, ((6, 8, 10, 12), (3, 5, 7, 9))
 
 def worn(scene: Scene, v_mm: float = PAPER_MM, wired: Wired = PAPER_WIRED) -> Scene:
     """The prototype's board on the finger of a scene, its photodiodes so far from the LED, without arterioles and with
-    the pulp that the filter takes for usual, both stated."""
+    the pulp that the filter takes as default, both stated."""
     prototype = load_scene(data_dir("scenes") / "prototype.toml")
     assert scene.body is not None and scene.body.heartbeat is not None
     heart = scene.body.heartbeat.model_copy(update={"arteriolar_blood_fraction": 0.0})
@@ -61,7 +61,7 @@ def computed_n(touches: TouchError, table: ReadingTable) -> float:
 
 
 def exactly_calibrated(sensor: Scene, touches: TouchError, table: ReadingTable, recording: Recording) -> Subject:
-    """Who wears a sensor, as by a calibration without error; gains are those of the recording's rest."""
+    """The wearer of a sensor, as by a calibration without error; gains are those of the recording's rest."""
     zero, count = np.zeros(len(table.names)), len(table.names)
     gain = np.median(recording.volts[:, :100], axis=1) / table.volts(touches.person.blood(np.ones(2)))
     return Subject(

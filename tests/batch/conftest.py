@@ -93,14 +93,14 @@ class Here(LocalSlots):
 
 @pytest.fixture
 def here(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Runs of a batch start no worker: for tests of what becomes of the scenes, whoever does them."""
+    """Runs of a batch start no worker: for tests of the outcome of the scenes, whatever process runs them."""
     monkeypatch.setattr("nailoptics.batch.run.LocalSlots", Here)
 
 
 FAILING = PHANTOM.replace(
     'pattern = "pencil"', 'pattern = "measured"\npattern_deg = [0, 90]\npattern_relative = [1, 0]'
 ).format(top="", accuracy="photons = 500")
-# A batch knows no volpath, so two of these four scenes fail.
+# A batch does not support volpath, so two of these four scenes fail.
 FAILING += """
 [[axes]]
 path = "light.engine"

@@ -112,7 +112,7 @@ def test_a_cluster_gives_the_same_bits_and_loses_nothing(calm, cluster, tmp_path
     with pytest.raises(NotReachedError, match="scheduler went away") as caught:
         run_batch(calm.sweep, tmp_path / "lost", scheduler=cluster.address, progress=progress)
     there = len(bits(tmp_path / "lost"))
-    # What was done without a word of it coming back counts; four jobs, each of one scene, were out at that moment.
+    # What was done without a report of it coming back counts; four jobs, each of one scene, were out at that moment.
     assert 8 <= there < 30 and there - 4 <= len(caught.value.result.done) <= there
     outcome = run_batch(calm.sweep, tmp_path / "lost", workers=1)
     assert len(outcome.kept) >= there and bits(tmp_path / "lost") == calm.bits
@@ -146,7 +146,7 @@ def test_a_scene_that_kills_every_worker_of_a_cluster_fails_alone(jit_backend, c
     killed = [time.time()]
 
     def kill(p: BatchProgress) -> None:
-        """The others take milliseconds: whoever still works works on the endless one."""
+        """The others take milliseconds: any worker still busy works on the endless one."""
         if p.done == 4 and time.time() - killed[-1] > 5:
             killed.append(time.time())
             for pid in cluster.nursed():

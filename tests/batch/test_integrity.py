@@ -1,4 +1,4 @@
-"""Every file of a batch knows whose it is: what does not fit is refused or reported, and never served for another."""
+"""Every file of a batch records its origin: what does not fit is refused or reported, and never used for another."""
 
 import json
 import shutil
@@ -198,7 +198,7 @@ def test_a_batch_of_another_version_opens_but_does_not_resume(calm, used, caplog
 
 
 def test_what_another_program_made_is_made_again(calm, used, monkeypatch, caplog):
-    """Of the same version, as between releases. Expected: opened with a word, and never beside what is made now."""
+    """Of the same version, as between releases. Expected: opened with a warning, never mixed with new results."""
     monkeypatch.setattr(folders, "program_digest", lambda code, assets: "another program")
     assert (status(used).foreign, status(used).left, status(used).other_versions) == (30, 30, "")
     assert (nail.open_results(used).state == "done").all() and "and is another prog here" in caplog.text

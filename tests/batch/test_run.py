@@ -180,7 +180,7 @@ def test_an_interrupted_run_ends_at_once_and_keeps_what_is_done(calm, tmp_path):
     for attempt in range(10):
         folder = tmp_path / f"b{attempt}"
         process = driver(calm.file, folder, "--workers", "1", start_new_session=True)
-        # Its workers inherit that it gives way, so that this test sees the fourth result long before the last.
+        # Its workers inherit its low priority, so that this test reads the fourth result long before the last.
         os.setpriority(os.PRIO_PGRP, process.pid, 19)
         deadline = time.time() + 60
         while len(bits(folder)) < 4 and time.time() < deadline:

@@ -1,9 +1,9 @@
 """Both engines on every photodiode of the prototype, with and without index steps: python bench_engines.py [SECONDS]
 
 The photon walk is traced to 0.5 %; stock volpath gets as many equal batches on each group of photodiodes as fit into
-SECONDS (600 if not given), a number that does not hang on what they read. Printed: both readings, their difference in
-combined standard errors, and the weighted mean of their ratios. Rationale: 1 % on the outermost photodiodes, which see
-1e-4 of the light, costs volpath hours; what it can estimate in the time is reported with its error.
+SECONDS (600 if not given), a number independent of what they read. Printed: both readings, their difference in
+combined standard errors, and the weighted mean of their ratios. Rationale: 1 % on the outermost photodiodes, with 1e-4
+of the light, costs volpath hours; what it can estimate in the time is reported with its error.
 """
 
 import sys

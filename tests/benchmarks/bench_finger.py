@@ -66,7 +66,7 @@ def modulation(scene: nail.Scene, walk: nail.Transfer) -> None:
         cpu += time.process_time() - start
         means.append(batches.mean())
         variances.append(batches.var(ddof=1) / len(batches))
-    # The true change is the traced one; what two renders cost to see it is their noise.
+    # The true change is the traced one; the cost of two renders to resolve it is set by their noise.
     stock = change**2 / sum(variances) / cpu
     result = means[1] - means[0]
     print(

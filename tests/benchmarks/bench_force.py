@@ -4,23 +4,23 @@
         [--rate 25] [--rest-s 3600] [--massless] [--calibration protocol|cycles] [--photons 300000]
         [--without zones|vessels|optics|creep|heartbeat|breathing|vasomotion|rhythms|drift]
 
-Each person (scenes/subjects) is recorded as scenes/subjects/record.py says, calibrated on the protocol of touches (or
+Each person (scenes/subjects) is recorded as by scenes/subjects/record.py, calibrated on the protocol of touches (or
 on slow cycles of 0-2 N and steps of other heights on either side) with scenes/prototype.toml as the guess, and read
-under touches that no calibration has seen. Parts:
+under held-out touches. Parts:
 - record: recordings alone, which every other part makes when it needs them;
 - touches: for every person, site (either side, and both at once, which no calibration has) and kind of touch (slow
   cycles of 0.4 and 1 N; steps of 0.15-1 N that rise in 0.16 s) the rms error over touches of 0.15 N and more of the
   estimate, of the filter alone and of the baselines, the part of their samples below closure that the 95 % interval
   covers, its median half width, and of a slow cycle to 2 N the part of samples above closure whose interval is open;
   the medians over the people, beside what must be reached;
-- sample: the least standard error (Cramer-Rao) of one sample's estimate of a held touch, of a person who is known
-  exactly, through the noise of the readings, their drift and the slow waves of the arterial pressure;
+- sample: the least standard error (Cramer-Rao) of one sample's estimate of a held touch, of a person estimated
+  without error, through the noise of the readings, their drift and the slow waves of the arterial pressure;
 - floor: the rms of the same filter where nothing but the body's own noise is left: people who are what was calibrated,
-  all of them known exactly, estimated from the samples before each and from all;
+  all of them calibrated without error, estimated from the samples before each and from all;
 - pairs: who is read with whose calibration, and whether that is flagged or the interval covers all the same;
 - rest: presses of the virtual switch in an hour of rest of every person, with pulse and drift;
 - processor time of a calibration and of a sample.
-With --without people are as the fitted model in one thing, to see how much of the error it makes.
+With --without people are as the fitted model in one respect, which shows how much of the error it causes.
 FOLDER keeps traced light, recordings and results: the same command resumes where it ended (Ctrl-C prints the table of
 what is done). Results of other code are computed again, from the same recordings.
 """
@@ -210,7 +210,7 @@ class Bench:
             yield f"{'median':<10} {site:<9} " + " ".join(f"{stderr_n:7.3f}" for stderr_n in np.median(rows, axis=0))
 
     def floor(self) -> Iterator[str]:
-        """How well each person's touches could be estimated were everything known, and medians over people."""
+        """How well each person's touches could be estimated by a calibration without error, and medians over people."""
         yield f"{'person':<10} {'side':<9} {'kind':<6} {'floor':>7}  [N]"
         for site in record.SIDES:
             for kind in KINDS:

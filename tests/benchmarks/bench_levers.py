@@ -60,7 +60,7 @@ def slab(seed: int, next_event: bool, importance: bool, quasi: bool) -> mi.Float
         if dr.hint(not next_event, mode="scalar"):
             score += dr.select(detected, F(1), 0)
         elif dr.hint(importance, mode="scalar"):
-            # As likely chosen by a point on the aperture: distance^2 / cosine, of 1 mm^2.
+            # Chosen with the same probability by a point on the aperture: distance^2 / cosine, of 1 mm^2.
             by_area = surface * surface / -w.z
             score += dr.select(detected, density / (density + by_area), 0)
         p = at
@@ -95,7 +95,7 @@ def merit(batch: Callable[[int], float]) -> tuple[float, float, float]:
 
 
 def main() -> None:
-    """Print a row per lever; ratios of figures of merit from 64 batches are known to 25 %."""
+    """Print a row per lever; ratios of figures of merit from 64 batches have a standard error of 25 %."""
     plain = None
     for name, how in (
         ("analog", (False, False, False)),

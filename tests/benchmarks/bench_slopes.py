@@ -255,7 +255,7 @@ CASES: dict[str, tuple[Callable[..., Callable[[], object]], list[int]]] = {
     "first colour": (partial(command_run, command="colour nail_colour -o OUT"), [0]),
     "second colour": (partial(command_run, command="colour nail_colour -o OUT", again=1), [0]),
     "a million photons more": (a_million_photons_more, [0]),
-    # On a finger light meets the dies of both; on a slab beams know nothing of each other.
+    # On a finger light meets the dies of both; on a slab beams are independent of each other.
     "one LED of two moved": (partial(moved, text=BOARD + NEAR, part=PART), [0]),
     "one beam of two moved": (partial(moved, text=SLAB, part=BEAM), [0]),
     "merit of the prototype": (merit, [1_000_000]),

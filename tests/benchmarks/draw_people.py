@@ -54,7 +54,7 @@ VESSELS_SEED = 0
 WALLS = ("blood.wall_stiffness", "blood.vein_stiffness", "blood.distal_stiffness")
 # Force of a proximal touch that shuts the vein, and the standard deviation of its logarithm. [N]
 CLOSING_N, CLOSING_SD = 1.15, 0.07
-# Drawn otherwise, or not at all: the scenes have vessels and contact of their own.
+# Drawn differently, or not at all: the scenes have vessels and contact of their own.
 NOT_DRAWN = (
     "finger.melanin_fraction",
     *(f"blood.{name}" for name in FACTORS),

@@ -6,7 +6,7 @@ People are drawn from the priors as for `[placement] people`, and wear the proto
 arterioles, the usual pulp, so that the fitted model has all of them. Each person's error is
 - computed: `TouchError`, for 0.5 N;
 - known: the rms over the same touches, in records with other heartbeats, waves and noise, of `predict` for the person
-  known exactly;
+  calibrated without error;
 - calibrated: of `predict` calibrated on the protocol, at 25 samples a second, with the finger of scenes/placement.toml
   as the guess; filter: of its Kalman filter alone.
 Prints for each person the computed error and the ratios of the others to it, each with the standard error by records,

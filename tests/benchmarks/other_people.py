@@ -1,4 +1,4 @@
-"""Estimated force of people of another simulator, which knows nothing of how the package models body and light.
+"""Estimated force of people of an independent simulator, which shares no model of body and light with the package.
 
     python tests/benchmarks/other_people.py FOLDER [--people ann ...] [--rate 50] [--donnings 2]
 
@@ -16,8 +16,8 @@ some seconds. Pressures at rest are as measured in nailfolds [6, 7]; the heart, 
 Light. Attenuation by the effective attenuation coefficient of each zone [8, 9], weighted by its place between LED and
 photodiode; gain, offset, drift, noise of electronics, 16 bits; a load cell with noise, a tare and an error of its gain.
 
-With --donnings the sensor is put on anew for every recording, and so often within the protocol: its gains and its place
-along the nail differ each time.
+With --donnings the sensor is donned again for every recording, and so often within the protocol: its gains and its
+place along the nail differ each time.
 
 Each person is drawn from `RANGES`. Where there is no measured range (compliance of the bed's venules, what reaches the
 bed of a pressure on the pulp) it is wide and chosen so that the nail reddens or refills in one to three seconds and
@@ -63,16 +63,16 @@ REST = 6.0  # at the beginning of each [s]
 MMHG_PER_KPA = 7.5
 BLOOD_PER_MM = 0.45  # absorption of whole blood at 800 nm [8]
 SCATTERING_PER_MM = 1.7  # reduced, of skin at 800 nm [9]
-DONNED = (0.05, 0.2)  # sd of gains and of the place along the nail [mm] when the sensor is put on anew: judgement
+DONNED = (0.05, 0.2)  # sd of gains and of the place along the nail [mm] between donnings: assumed
 
 RANGES = {  # least and most of each person's
     "area_mm2": (90.0, 170.0),  # of contact at 1 N [1]
     "area_power": (0.35, 0.6),  # [1]
     "depth_mm": (2.0, 5.0),  # over which the load spreads
-    "distal_share": (0.5, 1.1),  # of that pressure that the bed sees right over a distal touch
+    "distal_share": (0.5, 1.1),  # of that pressure that acts on the bed right over a distal touch
     "proximal_share": (0.15, 0.45),  # the same of a proximal one, whose pressure the bone takes
-    "drain_share": (0.7, 1.5),  # that the nail's drains see of a proximal touch
-    "lateral_share": (0.2, 0.7),  # that the drains into the pulp see of any
+    "drain_share": (0.7, 1.5),  # that acts on the nail's drains of a proximal touch
+    "lateral_share": (0.2, 0.7),  # that acts on the drains into the pulp of any
     "reach_mm": (3.0, 5.0),  # of a touch along the bed
     "suction": (0.0, 0.25),  # by which a distal touch lowers the root's pressure, and a proximal one the tip's
     "creep_fast": (0.1, 0.25),  # part that follows with 70 ms [2]
@@ -177,7 +177,7 @@ def followed(person: Person, rng: np.random.Generator, path: Path, donnings: int
 
 
 def touches(recording: Recording, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times [s] from -WARM_UP on, force [N] and the place's wander (a draw for each touch, in standard deviations)."""
+    """Times [s] from -WARM_UP on, force [N] and the place's scatter (a draw for each touch, in standard deviations)."""
     starts, length = [], REST
     holds = [20.0 if recording.slow else rng.uniform(1.5, 3.0) for _ in recording.peaks]
     for hold in holds:
@@ -289,7 +289,7 @@ def volts(person: Person, bed_blood: np.ndarray, rng: np.random.Generator, shift
 
 
 def donned(person: Person, bed_blood: np.ndarray, rng: np.random.Generator, donning: np.ndarray) -> np.ndarray:
-    """Readings as of `volts`, of a sensor that was put on anew for the recording, and within it."""
+    """Readings as of `volts`, of a sensor that was donned again for the recording, and within it."""
     worn, out = np.random.default_rng(rng.integers(2**32)), np.full((len(bed_blood), len(COLUMNS)), np.nan)
     state = rng.bit_generator.state
     for number in np.unique(donning[np.isfinite(donning)]):

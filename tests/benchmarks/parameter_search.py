@@ -43,10 +43,10 @@ DISTAL = tuple(name for name in SHARED if name.startswith(OF_BEDS))
 SEARCHED = (*SHARED, *DISTAL, *OF_SUBJECT, *(name for name in OF_SUBJECT if name in DISTAL))
 # Beyond the paper: a part of the distal bed's blood lies in venules that close early, as much as Fig. 12 needs.
 FIXED: dict[str, Any] = {"venular_share": (0.0, 0.0318), "venular_closing_pressure_pa": 1e3}
-# How far inside its bounds a claim has to be: the search measures coarsely, and what it finds is rounded. [1]
+# How far inside its bounds a claim has to be: the search measures coarsely, and its result is rounded. [1]
 _MARGIN = 0.01
 # A miss of this size costs half a claim. Less for more, so that one claim missed by far is better than several missed
-# by a little; smooth, so that the search sees every gain. [1]
+# by a little; smooth, so that the search follows every gain. [1]
 _HALF_MISS = 0.3
 # Weight of the distance from the list: of sets that meet the same claims, the nearest wins. [1]
 _NEAR = 0.2
@@ -157,7 +157,7 @@ def search(
     start: tuple[Parameters, Parameters] | None = None,
     step: float = 0.3,
 ) -> SearchResult:
-    """The best pair that evolutions find in a time, each value within a factor of the listed one.
+    """The best pair of evolutions within a time limit, each value within a factor of the listed one.
 
     seed : Of the random numbers. max_seconds : Wall time. population : Pairs in each generation, 6 or more.
     start : Where the first evolution starts, simulation and subject; later ones, and without it all, start at the best
@@ -209,7 +209,7 @@ def _evolve(
     deadline: float,
     step: float = 0.3,
 ) -> tuple[float, np.ndarray]:
-    """The least value, and where, that an evolution strategy with an adapted covariance finds from a start.
+    """Minimum, and where, by an evolution strategy with an adapted covariance from a start.
 
     step : Standard deviation of the first generation. [decades]
 

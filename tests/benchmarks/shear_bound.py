@@ -3,7 +3,7 @@
     python tests/benchmarks/shear_bound.py [--photons 300000]
 
 Printed are least standard errors (Cramer-Rao) of the shear of the scene's touch, held at some forces: where the forces
-on both sides are unknown, where the touch is known to press evenly, and where its normal force is measured; of one
+on both sides are unknown, where the touch is given to press evenly, and where its normal force is measured; of one
 sample, and of so many of a touch, of which the electronics' noise averages out while drift and the arterial pressure's
 slow wave stay.
 """
@@ -22,7 +22,7 @@ from nailoptics.sensor import electronics
 from nailoptics.sensor.volts import with_fitted_resistors
 
 FORCES_N, SAMPLES = (0.15, 0.3, 0.5, 1.0, 1.5), (1, 200)
-# Known before, rms, as large as scenes/subjects': forces and shear [N], the arterial pressure's waves [Pa], and drift
+# Priors, rms, as large as scenes/subjects': forces and shear [N], the arterial pressure's waves [Pa], and drift
 # in half a minute of the LED and of each reading [1].
 BEFORE_N, WAVE_PA, DRIFT = 10.0, 500.0, 2e-4
 # Of derivatives. [Pa]

@@ -6,8 +6,8 @@ People of scenes/subjects whose bed loses oxygen where its blood stands still (`
 an 850 nm die in place of the LED, and a 660 nm die beside it. Printed is the
 least standard error (Cramer-Rao) of the force of a touch that has been held for some time, from one sample, where an
 arterial pressure that rose with it, the other side's pressure, drift and noise are unknown, and how fast the blood
-loses oxygen, too: for 850 nm alone, for both, and for both with that known. With --touches it is how well touches are
-estimated that no calibration has seen, rms and the part that the 95 % interval covers, with either board.
+loses oxygen, too: for 850 nm alone, for both, and for both with that given. With --touches it is the
+error of held-out touches, rms, and the part that the 95 % interval covers, with either board.
 """
 
 import argparse
@@ -40,7 +40,7 @@ LOST = 0.08
 # A touch is held from here on, and read so long after. [s]
 TOUCHED_S, RISE_S, AFTER_S = 40.0, 1.0, (2.0, 10.0)
 FORCES_N = (0.15, 0.3, 0.5, 0.7, 1.0)
-# Steps of both pressures [Pa], the arterial one [Pa], and the veins' saturation [1]; what is known of each before.
+# Steps of both pressures [Pa], the arterial one [Pa], and the veins' saturation [1]; the prior of each.
 STEPS = np.array([100.0, 100.0, 100.0, 0.01])
 TOUCH_PA, SATURATION = 5e3, 0.03
 

@@ -43,7 +43,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 @pytest.fixture
 def predicted() -> Any:
-    """What `predict` says of the same recording."""
+    """What `predict` estimates from the same recording."""
     return nailoptics.predict("me.toml", "steps.csv")
 
 

@@ -141,7 +141,7 @@ def test_every_variable_of_a_study_is_documented():
 
 
 def test_every_parameter_of_a_public_function_is_described():
-    """Of what the docstring says, and of what is alike everywhere."""
+    """Of what the docstring states, and of what is the same everywhere."""
     generated, counted = runpy.run_path(str(DOCS / "generated.py")), 0
     for name in nailoptics.__all__:
         one = getattr(nailoptics, name)

@@ -57,7 +57,7 @@ def test_what_place_and_predict_write_has_the_variables_that_the_page_lists(fold
 
 
 def test_every_command_that_a_page_types_exists():
-    """Of all pages and the README: the command and its options are known; users' files need not be there."""
+    """Of all pages and the README: the command and its options exist; users' files need not be there."""
     known = {name for name in app if not name.startswith("-")}
     typed = 0
     for page in [ROOT / "README.md", *DOCS.rglob("*.md")]:

@@ -114,7 +114,7 @@ def of_no_old_kicad(item):
     ("version", "kind"), [(4, "module"), (20171130, "module"), (20211014, "footprint"), (20240108, "footprint")]
 )
 def test_a_further_part_is_written_as_the_boards_own_kicad_has_parts(tmp_path, version, kind):
-    """Expected: of KiCad 4 and 5 modules of nothing that these do not know, elsewhere footprints; all read alike."""
+    """Expected: of KiCad 4 and 5 modules without anything unsupported there, elsewhere footprints; all read alike."""
     scene, old = written(tmp_path), version < 20201115
     text = BOARD.format(side="B.Cu", held="").replace("20240108", str(version))
     if old:

@@ -176,10 +176,10 @@ def test_pmcx_takes_every_keyword(folder):
 
 @pytest.mark.slow
 def test_pmcxcl_agrees_on_an_exported_finger_but_for_the_staircase(tmp_path, chosen_jit):
-    """Rationale: MCX for OpenCL, on a processor, must find light in the same photodiodes.
+    """Rationale: MCX for OpenCL, on a processor, must detect light in the same photodiodes.
 
-    Expected: readings within 6 % and 3 standard errors of ours (2 % were seen in such cubes, 9 % in those of 0.1 mm)
-    and what more blood changes of them; errors small enough to see either.
+    Expected: readings within 6 % and 3 standard errors of ours (2 % measured in such cubes, 9 % in those of 0.1 mm)
+    and what more blood changes of them; errors small enough to resolve either.
     """
     # In processes of its own, as its libraries end one that Mitsuba is in; and its own for C++ breaks PoCL's compiler.
     own = {**os.environ, "LD_PRELOAD": "libstdc++.so.6"}

@@ -1,4 +1,4 @@
-"""Files for other programs say what the geometry is."""
+"""Files for other programs describe the geometry."""
 
 import numpy as np
 import pytest

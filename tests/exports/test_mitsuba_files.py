@@ -17,7 +17,7 @@ from nailoptics.light.reference.mitsuba_scene import finger_scene
 from nailoptics.light.reference.readings import stock_mitsuba
 from nailoptics.scene import load_scene
 
-# What the README of an export says, and where the pixels go.
+# What the README of an export states, and where the pixels go.
 PLAIN = """
 import json, sys
 import mitsuba as mi, numpy as np
@@ -42,7 +42,7 @@ def folder(scene, tmp_path_factory):
 
 
 def render(folder, tmp_path, *, spp: int, **photodiodes: str) -> np.ndarray:
-    """The picture that plain Mitsuba makes of the first LED's scene, in another process and folder."""
+    """The picture that plain Mitsuba renders of the first LED's scene, in another process and folder."""
     (path,) = folder.glob("1_*.xml")
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     command = [sys.executable, "-c", PLAIN, str(path), str(spp), json.dumps(photodiodes), str(tmp_path / "image.npy")]
@@ -76,7 +76,7 @@ def test_a_scene_stands_on_its_own(scene, folder):
 
 @pytest.mark.slow
 def test_plain_mitsuba_reads_what_the_walk_of_photons_reads(scene, folder, chosen_jit, tmp_path):
-    """Rationale: the page beside the scene says how to get readings. Expected: the sum of all eight agrees."""
+    """Rationale: the page beside the scene describes how to get readings. Expected: the sum of all eight agrees."""
     every = {f"photodiode_{k + 1}": "1,1,1" for k in range(8)}
     pixels = render(folder, tmp_path, spp=512, **every)[..., 0].ravel() / np.pi
     value, stderr = pixels.mean(), pixels.std(ddof=1) / len(pixels) ** 0.5

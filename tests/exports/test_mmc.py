@@ -1,4 +1,4 @@
-"""Sessions for MMC say what the scene says, and what pmmc makes of one is what the walk of photons reads."""
+"""Sessions for MMC describe the scene, and what pmmc computes from one is what the walk of photons reads."""
 
 import importlib.util
 import json
@@ -164,8 +164,8 @@ def pmmc() -> None:
 def test_pmmc_agrees_on_an_exported_finger(pmmc, chosen_jit, tmp_path):
     """Rationale: another program, with other arithmetic on other cells, must agree on the same finger.
 
-    Expected: eight readings and what less and more blood changes of them within 3 standard errors, chi^2 likely, and
-    errors small enough to see a few percent.
+    Expected: eight readings and what less and more blood changes of them within 3 standard errors, chi^2 plausible, and
+    errors small enough to resolve a few percent.
     """
     scene = load_scene(data_dir("scenes") / "prototype.toml")
     paths = nailoptics.export(scene, tmp_path, format="mmc")

@@ -1,4 +1,4 @@
-"""What another program detected is read, held against ours, and judged with errors that are true."""
+"""What another program detected is read and compared with ours by calibrated standard errors."""
 
 import json
 import math
@@ -26,8 +26,8 @@ def scene():
 
 
 def synthetic(seed: int, *, brighter: float = 1.0, shared: float = 0.0) -> LedTrace:
-    """Photons of a made-up finger: each photodiode sees its own share, with paths that spread, and a part of what its
-    neighbour sees."""
+    """Photons of a synthetic finger: each photodiode detects its own share, with paths that vary, and a part of its
+    neighbour's."""
     random = np.random.default_rng(seed)
     shares = brighter * np.array([0.01, 0.02, 0.03, 0.04, 0.04, 0.03, 0.02, 0.01])
     count = random.multinomial(PHOTONS, [*shares, 1 - shares.sum()])[:-1]
@@ -41,14 +41,14 @@ def synthetic(seed: int, *, brighter: float = 1.0, shared: float = 0.0) -> LedTr
 
 @pytest.mark.parametrize("shared", [0.0, 0.6])
 def test_standard_errors_and_p_values_are_calibrated(scene, shared):
-    """Of many pairs of runs of one truth, differences spread as their standard errors say, and p-values evenly, also
+    """Of many pairs of runs of one truth, differences scatter by their standard errors, and p-values evenly, also
     where neighbouring photodiodes share photons."""
     made = [synthetic(seed, shared=shared) for seed in range(300)]
     result = [compared(a, OtherDetection("other", scene, 0, b)) for a, b in zip(made[::2], made[1::2], strict=True)]
     pairs = [list(f.readings.values()) + [f.total] for f in result]
     pairs = [row + list(f.changes.values()) + list(f.paths_mm.values()) for row, f in zip(pairs, result, strict=True)]
     apart = np.array([[pair.deviations for pair in row] for row in pairs])
-    # Of n values the standard deviation is known to 1 / sqrt(2 n): five of its errors of a thousand values at most.
+    # A standard deviation of n values has the relative error 1 / sqrt(2 n): at most five of these of 1000 values.
     assert np.std(apart) == pytest.approx(1, abs=0.06)
     assert np.abs(apart.mean(axis=0)).max() < 4 / math.sqrt(len(result))
     ratio, stderr = np.array([pair.ratio for row in pairs for pair in row[:9]]).T
@@ -68,7 +68,7 @@ def test_a_brighter_scene_is_detected(scene):
 
 def test_a_change_that_few_photons_carry_has_no_error(scene):
     """Rationale: records of one photon at several photodiodes are one term of a sum. Expected: of a change that 20
-    photons carry, seen by all eight photodiodes, the standard error is NaN; of one that 100 carry, it is a number."""
+    photons carry, each at all eight photodiodes, the standard error is NaN; of one that 100 carry, it is a number."""
 
     def detected_by_all(carriers: int) -> LedTrace:
         photon = np.append(np.repeat(np.arange(1000), 8), np.arange(1000, 2000))
@@ -83,7 +83,7 @@ def test_a_change_that_few_photons_carry_has_no_error(scene):
 
 def test_paths_in_the_bed_are_compared_as_one(scene):
     """Rationale: zones of blood pass into each other here and have edges in an export, so that on boards that are not
-    symmetric their paths differ by several standard errors. Expected: light whose path in the bed is split otherwise
+    symmetric their paths differ by several standard errors. Expected: light whose path in the bed is split differently
     between the zones compares as equal, by the standard error of their sum."""
     ours, theirs = synthetic(1), synthetic(2)
     bed, step = theirs.path_mm[:, 1:3].sum(1), np.float32(0.8)

@@ -152,7 +152,7 @@ def test_an_impulse_of_a_millisecond_is_felt_and_forgotten(model):
     assert_sound(run)
     width = widths(run) / widths(run)[:, :1]
     assert np.abs(width[:, :999] - 1).max() < 1e-5
-    assert width[2].min() < 0.8  # the vein gives way at once
+    assert width[2].min() < 0.8  # the vein yields at once
     assert np.abs(width[:, -1] - 1).max() < 0.01
 
 

@@ -7,11 +7,11 @@ Where float32 stops being enough, and what is done there:
 - g near 0. The sampling formula loses its digits below 1e-3; there a first-order one takes its place.
 - Far from the origin. Lateral places are displacements from the start, added in float64.
 - A finger's mesh. Its origin is the nail's centre, so that all places lie within 30 mm, where float32 resolves 2 nm;
-  a photon leaves a face by 2e-6 (1 + its largest coordinate) mm, and whoever slips through an edge counts as lost.
+  a photon leaves a face by 2e-6 (1 + its largest coordinate) mm, and one that slips through an edge counts as lost.
   With ten triangles there is no finger: the grid of its regions makes a thousand at the least.
 - Paths. A sum of up to 65536 steps in float32 keeps four to five digits; sums over photons are float64.
 - Free paths. A uniform number has 23 bits, so none is longer than 15.9 mean ones: of light that would go farther, 1e-7
-  of all, nothing is seen. A photodiode that nothing reaches reads 0 below -ln(0.05) / photons.
+  of all, nothing is detected. A photodiode that nothing reaches reads 0 below -ln(0.05) / photons.
 - Long lives. After 65536 scatterings roulette halves the photons, so that total reflection without loss ends.
 """
 
@@ -110,8 +110,8 @@ def test_a_clear_plate_reflects_by_fresnels_equations(jit_backend, n):
 
 @jit
 def test_total_reflection_keeps_light_in_and_all_of_it_leaves_in_the_end(jit_backend):
-    """Nothing absorbs, n 2.5: what is trapped can only leave by scattering, as much on either side as adding-doubling
-    says."""
+    """Nothing absorbs, n 2.5: what is trapped can only leave by scattering, as much on either side as by
+    adding-doubling."""
     result = energy(stack({"mu_s_per_mm": 5.0, "n": 2.5}), photons=20_000)
     assert meets(result["reflected"], adding_doubling(1e-9, 5.0, 0.0, 2.5)[0], floor=6e-4)
     assert meets((result["reflected"][0] + result["transmitted"][0], result["lost"][1]), 1.0)
@@ -143,7 +143,7 @@ def test_an_unlit_photodiode_reads_zero_below_a_limit(jit_backend):
     rest = read_rest(stack({"mu_a_per_mm": 1.0, "mu_s_per_mm": 1.0}, photodiodes=[blind]), photons=10_000)
     row = rest.readings[0]
     assert row["detected_fraction"] == 0 and (1 - row["upper_limit_95"]) ** 10_000 == pytest.approx(0.05)
-    # A path of light that was not seen is unknown, in JSON null.
+    # The path of undetected light is unknown, in JSON null.
     assert all(value is None for value in json.loads(to_json(row))["mean_path_mm"].values())
 
 
@@ -157,7 +157,7 @@ def test_one_photon_is_traced_and_accounted_for(jit_backend):
 
 @pytest.mark.long
 def test_a_billion_photons_lose_nothing_in_the_sum():
-    """1e9 weights, as batches sum them: float64 loses under 1e-12; float32 alone would be off by more than half."""
+    """1e9 weights, as batches sum them: float64 loses under 1e-12; float32 alone has an error above half."""
     batch, count = 1 << 18, 1_000_000_000
     weight = np.random.default_rng(1).random(batch).astype(np.float32).astype(float)
     once, of_batch, total = math.fsum(weight), float(np.bincount(np.zeros(batch, np.uint16), weight)[0]), 0.0

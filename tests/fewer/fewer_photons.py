@@ -1,4 +1,4 @@
-"""Cells that are soon made, and few photons and searches where nobody can ask for fewer, in processes that run tests'
+"""Cells that are soon made, and few photons and searches where no option sets fewer, in processes that run tests'
 commands and pages; sitecustomize.py beside this calls for it in those whose path begins with this folder. Modules are
 changed when they are loaded, as a process that has no use for them is to start as soon as ever."""
 
@@ -13,7 +13,7 @@ COARSE_MM = 0.4
 PHOTONS_FROM_OUTSIDE, ROUGH_PHOTONS = 1 << 13, 1 << 14
 # Of the table of light between places of a board.
 FEW_NODES = {"DISTANCE_MM": (0.0, 1.2, 3.5), "BESIDE_WALL_MM": (0.0, 0.6), "PAIRS": 1 << 15}
-# Of the touches that a sensor is calibrated with, and of what a calibration asks for: a third to two thirds.
+# Of the touches that a sensor is calibrated with, and of what a calibration requires: a third to two thirds.
 SHORT_PROTOCOL = {"SIDE_S": 30.0, "LEAST_TOUCHES": 4, "LEAST_LEVELS": 8}
 
 
@@ -49,8 +49,7 @@ def few_disturbances(oxygen: ModuleType) -> None:
 
 
 def without_dask(pycompat: ModuleType) -> None:
-    """No array is Dask's, which xarray would load as the first one is made, as commands have it; who asks for it still
-    has it."""
+    """Without Dask arrays, which xarray would load with the first array, as in commands; an import still loads it."""
     if "dask" not in sys.modules:
         sys.modules["dask"] = None  # type: ignore[assignment]
         pycompat._get_cached_duck_array_module("dask")

@@ -237,7 +237,7 @@ def test_one_sensor_may_have_leds_on_several_sides(sensor):
     assert check_watertight(geometry, crossings=10_000, seed=3).disagreements == 0
 
 
-# The widest thing a scene can ask for: where no finger comes of it, one line says so; where one does, it is whole.
+# The widest shapes that a scene can request: where no finger comes of one, one line reports it; else it is whole.
 @settings(max_examples=8, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(
     width=st.floats(5, 40), thickness=st.floats(5, 40), radius=st.floats(2, 100), nail_width=st.floats(3, 30),

@@ -1,4 +1,4 @@
-"""The checker: it passes what is whole and sees what is not."""
+"""The checker: it passes what is watertight and detects what is not."""
 
 import dataclasses
 

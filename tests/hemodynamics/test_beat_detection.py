@@ -1,4 +1,4 @@
-"""Beats and rate of pulse waveforms, made up and recorded."""
+"""Beats and rate of pulse waveforms, synthetic and recorded."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from nailoptics.hemodynamics import cardiac_pressure
 from nailoptics.hemodynamics.beat_detection import find_beats
 
 RECORDED = Path(__file__).parent / "plethysmogram.csv"
-# What HeartPy 1.2.7, whose example it is, says of it.
+# The estimate of HeartPy 1.2.7, whose example it is.
 RATE_BY_HEARTPY = 58.899
 
 
@@ -44,7 +44,7 @@ def test_the_rate_follows_a_heart_that_quickens():
 
 
 def test_beats_lie_between_samples_where_the_wave_is_at_its_most():
-    """A sine of which 20 samples in a second hold no peak: parabolas find it to a fiftieth of a sample."""
+    """A sine of which 20 samples in a second hold no peak: parabolas estimate it to a fiftieth of a sample."""
     time_s, rate_hz = np.arange(0.0, 30.0, 0.05), 1.37
     peak_s = find_beats(time_s, np.cos(2 * np.pi * rate_hz * time_s)).peak_s[3:-3]
     assert peak_s == pytest.approx(np.round(peak_s * rate_hz) / rate_hz, abs=0.001)

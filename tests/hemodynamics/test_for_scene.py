@@ -1,4 +1,4 @@
-"""What a scene's touch, vessels and body make of the blood under the nail."""
+"""How a scene's touch, vessels and body change the blood under the nail."""
 
 import numpy as np
 import pytest
@@ -180,7 +180,7 @@ def steady_reading(text, force_n):
 def test_contact_grows_with_force_and_reaches_the_tip_late():
     force_n = np.array([0.0, 0.4, 0.8, 1.0, 4.0])
     proximal, distal = steady_reading("distal_onset_n = 0.8", force_n)
-    # On half of 100 mm^2 the tip bears half of what exceeds the onset; both sides bear all of the force.
+    # On half of 100 mm^2 the tip carries half of what exceeds the onset; both sides carry all of the force.
     assert distal == pytest.approx(1e4 * np.array([0.0, 0.0, 0.0, 0.2, 3.2]))
     assert proximal == pytest.approx(1e4 * force_n)
     growing = np.array(steady_reading("contact_force_n = 1.0", force_n))

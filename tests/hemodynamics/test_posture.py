@@ -1,4 +1,4 @@
-"""The hand's height and the venous pressure: what they make of the blood, and the force that they feign."""
+"""The hand's height and the venous pressure: how they change the blood, and the false force that they produce."""
 
 import numpy as np
 import pytest

@@ -103,7 +103,7 @@ def test_where_a_unit_could_balance_twice_the_widest_balance_is_returned():
     assert np.abs(balance[width > 1.0001e-3]).max() < 1e-6
     at_fold = int(np.argmax(jumps))
     assert width[at_fold] > width[at_fold + 1]
-    # All balances lie at crossings of zero, seen at very many pressures of the vein node: the widest of the highest.
+    # All balances lie at crossings of zero, sampled at very many pressures of the vein node: the widest of the highest.
     for k in (at_fold, at_fold + 1):
         assert width[k] == pytest.approx(widest_of_all(p, touch[k]), rel=0.02)
 

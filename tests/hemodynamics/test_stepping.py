@@ -30,7 +30,7 @@ def test_a_press_agrees_with_respond(name: str, side: str) -> None:
         path.append(diameter)
     run = hemodynamics.respond(parameters, TIME_S, proximal_pressure_pa=proximal, distal_pressure_pa=distal)
     exact = np.vstack([run.capillary_diameter_m.values, run.vein_diameter_m.values])
-    # Blood goes with the square of a capillary's diameter: 0.5 % of it at most, on a course that moves it by tens.
+    # Blood goes with the square of a capillary's diameter: 0.5 % of it at most, of a change by tens of percent.
     assert np.abs(np.transpose(path) - exact)[:2].max() < 2.5e-3 * start[0]
 
 

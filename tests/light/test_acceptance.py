@@ -1,4 +1,4 @@
-"""Photodiodes that weigh light by its angle: flat ones are as before, and narrow ones collect what theory says."""
+"""Photodiodes that weigh light by its angle: flat ones are as before, narrow ones collect the theoretical flux."""
 
 from functools import partial
 
@@ -140,7 +140,7 @@ def test_maps_read_a_narrow_response_as_a_trace_does(jit_backend):
     by_map = [mean[:, 0], error_of_mean[:, 0]]
     each = [own.detected(0, point, photons=photons // 8, seed=seed)[:, 0] for seed in range(4)]
     fresh = [np.mean(each, 0), np.std(each, 0, ddof=1) / 2]
-    # Four batches know their own spread badly: it is no less than that of as many photons of the map.
+    # Four batches estimate their own spread badly: it is no less than that of as many photons of the map.
     fresh[1] = np.maximum(fresh[1], by_map[1] * 2**0.5)
     for (value, spread), most in ((by_map, 0.05), (fresh, 0.1)):
         assert np.all(np.abs(value - expected) < 4 * np.hypot(spread, error)), (value, spread, expected, error)

@@ -51,7 +51,7 @@ def test_a_file_that_is_no_library_is_refused_by_the_real_probe(library):
 
 
 def test_libraries_on_this_machine_that_abort_are_survived(fresh, monkeypatch):
-    """Whatever libLLVM lies here, asking for it leaves this process alive, also where it aborts at volpath (15, 16).
+    """Whatever libLLVM is installed, requesting it leaves this process alive, also where it aborts at volpath (15, 16).
 
     Expected: every one from 15 on runs the photons engine; volpath runs on it or on the scalar backend."""
     monkeypatch.setattr(backend, "_cuda_libraries", lambda: [])
@@ -64,8 +64,8 @@ def test_libraries_on_this_machine_that_abort_are_survived(fresh, monkeypatch):
 
 
 def test_volpath_takes_the_scalar_backend_where_only_photons_compile(library, fresh, monkeypatch):
-    """Rationale: libLLVM 15 and 16 abort at Mitsuba's own kernels. Expected: who asks for volpath gets the scalar
-    backend and one line of advice, whichever backend was requested; who insists, one line of error."""
+    """Rationale: libLLVM 15 and 16 abort at Mitsuba's own kernels. Expected: volpath runs on the scalar
+    backend with one line of advice, whichever backend was requested; if forced, one line of error."""
     monkeypatch.setattr(backend, "PROBE", "import os; print('photons', flush=True); os.abort()")
     chosen = backend.choose()
     assert (chosen.name, chosen.jit, chosen.engines, chosen.advice) == ("llvm", True, ("photons",), None)
@@ -164,7 +164,7 @@ def test_findings_name_one_backend_as_selected(fresh, monkeypatch):
 
 @pytest.mark.parametrize("libraries", [["b"], []])
 def test_an_apple_gpu_is_chosen_where_there_is_no_libllvm_and_reported_as_untested(fresh, monkeypatch, libraries):
-    """Rationale: no Apple GPU was at hand; that one computes is for the probe to say, whose answer is put in here."""
+    """Rationale: no Apple GPU was available; whether one computes is for the probe, whose answer is replaced here."""
     monkeypatch.setattr(backend, "_llvm_libraries", lambda: libraries)
     monkeypatch.setattr(backend, "_cuda_libraries", lambda: [])
     with monkeypatch.context() as apple:

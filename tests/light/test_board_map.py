@@ -88,7 +88,7 @@ def test_sensitivities_are_the_finite_differences_of_fresh_traces(scene, arrival
         each.append(np.array(fractions))
     difference = (each[1] - each[0]) / 0.04
     spread = difference.std(0, ddof=1) / np.sqrt(BATCHES)
-    # Few batches know their own spread badly; the map's slopes come from as many photons.
+    # Few batches estimate their own spread badly; the map's slopes come from as many photons.
     assert np.all(np.abs(difference.mean(0) - slope) < 4 * np.hypot(noise, np.maximum(spread, noise)))
     assert np.all(noise < 0.1 * np.abs(slope)) and np.all(spread < 0.2 * np.abs(slope))
 
@@ -145,7 +145,7 @@ def test_binned_map_and_records_agree_on_any_rectangle(scene, chosen_jit):
     assert blocks.shape == (32, 2, 4) and binned.photons == sum(one.photons for one in arrivals)
     assert np.all(np.abs(blocks.mean(0) - exact) < 0.5 * error + 0.01 * np.abs(exact))
     spread = blocks.std(0, ddof=1) / np.sqrt(len(blocks))
-    # 31 degrees of freedom know a standard error to 13 %.
+    # 31 degrees of freedom determine a standard error to 13 %.
     assert np.all(np.abs(spread / error - 1) < 0.55)
 
 
@@ -163,7 +163,7 @@ def test_whole_outline_of_the_map_holds_every_arrival_once():
 
 
 def test_what_no_light_reaches_is_read_as_nothing_at_all():
-    """Rationale: differences of large sums left 1e-16 of the light there, by which dark photodiodes were judged."""
+    """Rationale: differences of large sums left 1e-16 of the light there, by which dark photodiodes were scored."""
     rng = np.random.default_rng(2)
     one = Arrivals(
         1000,
@@ -267,7 +267,7 @@ def test_a_turned_photodiode_reads_the_map_over_its_rectangle(scene, arrivals, c
     expected, spread = series.fraction[0, 0, 0], series.stderr[0, 0, 0]
     assert abs(mean[0, 0] - expected) < 4 * np.hypot(error[0, 0], spread)
     assert np.hypot(error[0, 0], spread) < 0.04 * expected
-    # Straight, it would read otherwise by far more than that.
+    # Straight, it would differ by far more than that.
     straight, _ = together(arrivals, blood_point(scene, 0), [Rectangle.around("straight", area.center_mm, (1.6, 0.6))])
     across, _ = together(arrivals, blood_point(scene, 0), [Rectangle.around("across", area.center_mm, (0.6, 1.6))])
     assert abs(straight[0, 0] - across[0, 0]) > 0.05 * expected

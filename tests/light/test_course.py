@@ -1,4 +1,4 @@
-"""A course of blood states against direct evaluation, fresh traces, and what shared noise promises."""
+"""Readings over blood states against direct evaluation, fresh traces, and what shared noise promises."""
 
 import time
 
@@ -23,7 +23,7 @@ def scene(*, wavelength_nm: float = 800.0, blood: str = "") -> Scene:
 
 
 def synthetic(records: int = 20_000, *, path_mm: float = 8.0, blood: str = "") -> Transfer:
-    """A trace of which nothing is known but its statistics: long-tailed paths in all zones, two photodiodes."""
+    """A synthetic trace of given statistics: long-tailed paths in all zones, two photodiodes."""
     rng = np.random.default_rng(1)
     varied = scene(blood=blood)
     names = optics.absorbers(varied)
@@ -117,7 +117,7 @@ def test_states_that_are_all_alike_read_alike_and_do_not_change():
 
 def test_a_change_shares_its_noise_with_what_it_starts_from():
     """Rationale: both states are read from the same photons. Expected: a change of 10 % of the blood has less than a
-    fifth of the readings' standard error, and resampling photons gives the error that is stated."""
+    fifth of the readings' standard error, and resampling photons gives the reported standard error."""
     transfer = synthetic()
     states = np.array([[0.03, 0.03], [0.033, 0.03]])
     read = readings_over_states(transfer, states)
@@ -131,13 +131,13 @@ def test_a_change_shares_its_noise_with_what_it_starts_from():
     for _ in range(400):
         count = rng.poisson(1.0, mine.sum())
         result.append(float(count @ (weight[:, 1] - weight[:, 0])) / trace.photons)
-    # The line of 30 nm hardly matters for the spread; 400 resamplings know a spread to 3.5 %.
+    # The line of 30 nm hardly matters for the spread; 400 resamplings determine a standard deviation to 3.5 %.
     assert np.std(result) == pytest.approx(float(read.change_stderr[0, 0, 1]), rel=0.15)
 
 
 def test_electrons_weigh_wavelengths_by_photons_per_watt():
     """A watt at wavelength l holds l / 800 times the photons of one at 800 nm; over a symmetrical line nearly nothing
-    is left of it, and what is left is what the sum over the line says."""
+    is left of it, and what is left is the sum over the line."""
     transfer = synthetic()
     state = np.array([[0.03, 0.05]])
     read = readings_over_states(transfer, state).fraction[0, :, 0]
@@ -168,7 +168,7 @@ def test_ten_thousand_states_take_little_longer_than_a_hundred():
 
 
 def test_reweighting_to_states_too_far_away_warns():
-    """Even where only one state of many is, and only between nodes; nearer ones say nothing (warnings are errors)."""
+    """Even where only one state of many is, and only between nodes; nearer ones do not warn (warnings are errors)."""
     trace = synthetic(600)
     readings_over_states(trace, random_states(50, high=0.1))
     states = np.full((200, 2), 0.03)

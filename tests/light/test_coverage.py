@@ -1,4 +1,4 @@
-"""Intervals hold the truth as often as they say: every engine and estimator, over hundreds of small runs."""
+"""Intervals have their nominal coverage: every engine and estimator, over hundreds of small runs."""
 
 import math
 from collections.abc import Callable
@@ -47,14 +47,14 @@ def slab(u_mm: float, mu_a_per_mm: float = 0.2) -> Scene:
 
 
 def covers(runs: list[Estimates], truth: Estimates) -> None:
-    """68 and 95 % intervals hold the truth as often as that, within chance, and values lie to neither side of it."""
+    """68 and 95 % intervals cover the truth as often as that, within chance, and values are unbiased."""
     assert runs
     for name, (value, _) in truth.items():
         z = np.array([(run[name][0] - value) / run[name][1] for run in runs])
         assert np.isfinite(z).all(), name
         count = len(runs)
         for limit, nominal in ((1.0, 0.683), (1.96, 0.95)):
-            # Values of one run may err together: chance is that of the runs.
+            # Errors of one run may be correlated: chance is that of the runs.
             result, chance = float(np.mean(np.abs(z) < limit)), math.sqrt(nominal * (1 - nominal) / count)
             assert abs(result - nominal) < 3.5 * chance, (name, limit, result)
         assert np.abs(z.mean(0)).max() < 4.5 / math.sqrt(count), (name, z.mean(0))
@@ -129,7 +129,7 @@ def of_several_photodiodes(transfer: Transfer) -> Estimates:
 @pytest.mark.jit
 @pytest.mark.parametrize("runs", RUNS)
 def test_intervals_of_what_is_made_of_photodiodes_that_share_photons(jit_backend, runs):
-    """Expected: intervals of neighbours' differences and ratios and of each array's sum hold the truth; a sum of
+    """Expected: intervals of neighbours' differences and ratios and of each array's sum cover the truth; a sum of
     squares over the photodiodes, as of independent readings, would miss a tenth of a sum's error."""
     scene = load_scene(data_dir("scenes") / "prototype.toml")
     small, whole = small_traces(scene, FingerTracer, jit_backend.name, runs=runs, photons=1 << 14)
@@ -206,7 +206,7 @@ def test_intervals_of_a_trace_that_stopped_at_a_tolerance(jit_backend, monkeypat
 
 
 class Urn:
-    """Stands for an engine whose truth is known: each photon is detected with one probability, at a skewed weight."""
+    """Replaces an engine by one of known mean: each photon is detected with one probability, at a skewed weight."""
 
     scene = slab(2.0, mu_a_per_mm=0.0)
     batch_photons = 1024
@@ -231,7 +231,7 @@ class Urn:
 
 
 def stopped(seed: int, target: float) -> tuple[float, float]:
-    """Relative departure from the truth, and relative standard error, of a run that stops at a tolerance."""
+    """Relative error, and relative standard error, of a run that stops at a tolerance."""
     urn = Urn()
     rule = LedStoppingCriterion(urn.scene, 0, Accuracy(relative_error=target), full=urn.batch_photons)
     engine = LightEngine(urn.scene, Backend("llvm", None, ENGINES, "made up"))
@@ -245,7 +245,7 @@ def stopped(seed: int, target: float) -> tuple[float, float]:
 
 
 def stopped_by_few_batches(seed: int, target: float) -> tuple[float, float]:
-    """The same by a rule that stops as soon as a few small batches happen to lie close together."""
+    """The same by a rule that stops as soon as a few small batches lie close together by chance."""
     urn, seeds = Urn(), np.random.default_rng(seed)
     count, total, square, error = 0, 0.0, 0.0, math.inf
     while error > target:
@@ -258,7 +258,7 @@ def stopped_by_few_batches(seed: int, target: float) -> tuple[float, float]:
 
 
 def is_calibrated(rule: Callable[[int, float], tuple[float, float]], *, runs: int, target: float) -> bool:
-    """Whether stopped runs lie a tenth of their error from the truth on average at most, and intervals cover it."""
+    """Whether stopped runs are biased by a tenth of their error at most, and intervals have nominal coverage."""
     off, error = np.array([rule(seed, target) for seed in range(runs)]).T
     z = np.abs(off / error)
     inside = all(
@@ -270,8 +270,8 @@ def is_calibrated(rule: Callable[[int, float], tuple[float, float]], *, runs: in
 
 @pytest.mark.long
 def test_stopping_at_a_tolerance_does_not_bias_the_result():
-    """Rationale: who stops as soon as the estimated error is small enough prefers runs that err low by chance.
-    Expected: the mean of many stopped runs is off by less than a tenth of one run's standard error; intervals cover;
-    and the same test finds out a rule that trusts the spread of two batches."""
+    """Rationale: stopping as soon as the estimated error is small enough prefers runs that are low by chance.
+    Expected: the bias of many stopped runs is below a tenth of one run's standard error; intervals cover; and the same
+    test detects a rule that relies on the spread of two batches."""
     assert is_calibrated(stopped, runs=600, target=0.05)
     assert not is_calibrated(stopped_by_few_batches, runs=300, target=0.05)

@@ -30,7 +30,7 @@ def prototype(*, index_steps: bool = True, elements: tuple[tuple[int, ...], tupl
 
 # The element of the proximal array that lies nearest to the LED: the brightest, so the quickest to settle.
 NEAREST = ((15,), ())
-# Of stock Mitsuba's paths, by whose spread its standard errors are known.
+# Of stock Mitsuba's paths, by whose spread its standard errors are estimated.
 BATCHES = 32
 
 
@@ -133,8 +133,8 @@ def test_every_photon_is_accounted_for(jit_backend, traced, index_steps):
 @pytest.mark.long
 @pytest.mark.jit
 def test_parts_left_out_read_the_same_with_and_without_faces(jit_backend):
-    """Rationale: `explain` keeps the faces of what is left out, so that two scenes share photons; nobody else does.
-    Expected: independent traces of both agree at every photodiode, and know their sum to 2 %."""
+    """Rationale: only `explain` keeps the faces of what is left out, so that two scenes share photons.
+    Expected: independent traces of both agree at every photodiode, and estimate their sum to 2 %."""
     scene, photons = prototype(), 1 << 17
     scene = scene.model_copy(update={"light": scene.light.model_copy(update={"left_out": tuple(geometry.AROUND)})})
     result = []
@@ -213,7 +213,7 @@ def test_paths_are_divided_among_zones_by_the_weights_at_their_middle(jit_backen
 
 @pytest.mark.jit
 def test_the_same_seed_gives_the_same_bits_and_another_one_others(jit_backend, monkeypatch):
-    """Expected: also in other lanes, so that no photon is walked twice, or by none, whoever takes it."""
+    """Expected: also in other lanes, so that no photon is walked twice, or by none, whichever lane takes it."""
     tracer, photons = FingerTracer(prototype()), 1 << 15
     first, other = (tracer.batch(0, photons=photons, seed=seed) for seed in (5, 6))
     assert not np.array_equal(first.weight, other.weight)

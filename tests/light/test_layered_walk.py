@@ -77,7 +77,7 @@ def test_slabs_meet_published_tables(jit_backend, a, b, g, n, reflected, transmi
 
 @pytest.mark.long
 def test_slabs_meet_adding_doubling_over_a_grid(jit_backend):
-    """Rationale: the corners of the table, thin and thick, forward and backward, dim and bright, each judged at once.
+    """Rationale: the corners of the table, thin and thick, forward and backward, dim and bright, each tested at once.
     Expected: z-scores over all of them like a normal's: none beyond 4.2 (1 in 300 for 120), mean square near 1."""
     scores, errors = [], []
     for a in (0.3, 0.9, 0.99, 0.9999):

@@ -52,7 +52,7 @@ def installed() -> dict[int, str]:
 
 @pytest.mark.long
 def test_every_library_gives_the_same_bits(monkeypatch, tmp_path):
-    """Rationale: libLLVM 15 and 16 know no machine code for some of Dr.Jit's functions, and each library makes its own.
+    """Rationale: libLLVM 15 and 16 have no machine code for some of Dr.Jit's functions, and each library makes its own.
     Expected: the same light from all, bit for bit."""
     monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
     libraries = installed()

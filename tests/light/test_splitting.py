@@ -120,7 +120,7 @@ def test_split_photons_read_as_plain_ones_with_calibrated_errors(jit_backend, pr
     split = [tracer.batch(0, photons=photons, seed=seed) for seed in range(batches)]
     ours = np.array([scored(one.photodiode, one.weight, one.path_mm) for one in split])
     assert np.array(tracer.reach[0].strides).max() == MOST_STRIDES
-    many = 1 << 20  # far from the LED they know readings to a tenth
+    many = 1 << 20  # far from the LED they estimate readings to a tenth
     walked = tracer.walk(0, photons=many, seed=1911_05_03)
     ended = np.flatnonzero(walked.outcome >= DETECTED)
     path = tracer.by_zone(walked.path_mm[:, ended])
@@ -130,7 +130,7 @@ def test_split_photons_read_as_plain_ones_with_calibrated_errors(jit_backend, pr
     assert np.sum((sums / total - plain[0] / many) ** 2 / (error**2 + more**2)) < 45
     # Of eight times the photons.
     assert np.all(error[0] / (sums[0] / total) < 0.7 * more[0] / (plain[0][0] / many))
-    # Splitting on the way makes up for the distance: all readings are known alike.
+    # Splitting on the way compensates for the distance: all readings have similar relative errors.
     assert (error[0] / sums[0]).max() < 1.3 * (error[0] / sums[0]).min()
     spread = ours[:, 0].std(axis=0, ddof=1) / photons / np.sqrt(batches)
     assert np.all((spread / error > 0.6) & (spread / error < 1.5))

@@ -17,7 +17,7 @@ SCENE = parse_scene(phantom({"thickness_mm": 2.0, "mu_a_per_mm": 0.0, "g": 0.5},
 
 
 def stopped(seed: int, *, spread: float, target: float) -> tuple[float, float]:
-    """Relative departure from the truth of a run that stops at a tolerance, and its relative standard error.
+    """Relative error of a run that stops at a tolerance, and its relative standard error.
 
     spread : standard deviation of the logarithm of the photons' weights.
     """
@@ -41,9 +41,9 @@ def stopped(seed: int, *, spread: float, target: float) -> tuple[float, float]:
 
 @pytest.mark.parametrize(("spread", "bias"), [(0.0, 0.1), (0.7, 0.15)])
 def test_stopping_biases_by_a_small_part_of_the_standard_error(spread, bias):
-    """Rationale: a run that stops by its own error prefers luck, most where it is loose and weights differ; those of
+    """Rationale: stopping by the run's own error is biased, most where it is loose and weights differ; those of
     photons in a photodiode of the prototype differ by some 0.7 in their logarithm.
-    Expected: over seeds the mean is off by a small part of the error that is stated, and intervals of 95 % hold."""
+    Expected: over seeds the bias is a small part of the reported standard error, and 95 % intervals cover."""
     off, error = np.array([stopped(seed, spread=spread, target=0.1) for seed in range(1500)]).T
     ratio = off / error.mean()
     chance = ratio.std() / math.sqrt(len(ratio))

@@ -24,7 +24,7 @@ def test_fluence_in_the_bed_is_what_its_absorption_takes(chosen_jit):
     """Rationale: light that a volume absorbs is mu_a times its fluence, whatever its paths.
 
     Expected: of the bed under the nail, beside which hardly any light comes to it, what photons of another seed lose
-    there by their weights, which is known to 1 %.
+    there by their weights, which is estimated to 1 %.
     """
     scene = parse_scene(SCENE)
     tracer = BoardTracer(scene).tracer

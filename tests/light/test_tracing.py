@@ -1,4 +1,4 @@
-"""Tracing until a tolerance, a time or a number of photons is reached, and saying so when it is not."""
+"""Tracing until a tolerance, a time or a number of photons is reached, and reporting when it is not."""
 
 import itertools
 import logging
@@ -47,7 +47,7 @@ def test_the_tolerance_is_met_and_not_far_overdone(jit_backend, monkeypatch, tar
 
 @pytest.mark.slow
 def test_stopping_at_a_tolerance_hardly_biases_readings(jit_backend, monkeypatch):
-    """Rationale: a rule that stops when the estimated error is small enough prefers runs that err low.
+    """Rationale: a rule that stops when the estimated error is small enough prefers runs that are low by chance.
     Expected: 100 traces to a coarse tolerance agree on average with one of many photons."""
     monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 11)
     scene = slab()

@@ -20,7 +20,7 @@ from nailoptics.statistics import Z95
 
 
 def two_layers(*, upper: float = 0.05, lower: float = 0.1, photodiodes: int = 2, led: dict | None = None) -> Scene:
-    """A clear-ish plate on a deep bed, seen by squares 1.5 and 2.5 mm from a beam."""
+    """A nearly clear plate on a deep bed, read by squares 1.5 and 2.5 mm from a beam."""
     optics = {"g": 0.8, "n": 1.4}
     layers = [
         optics | {"name": "upper", "thickness_mm": 0.5, "mu_a_per_mm": upper},
@@ -78,7 +78,7 @@ def test_the_standard_error_of_a_mean_path_is_that_of_resampling():
     assert result.mean_path_mm_stderr.values == pytest.approx(means.std(axis=0), rel=0.1)
 
 
-# Of some seeds, or by another backend, few photons bear the error of the state farthest away.
+# Of some seeds, or by another backend, few photons make up the error of the state farthest away.
 @pytest.mark.filterwarnings("ignore::nailoptics.light.ReweightWarning")
 @pytest.mark.jit
 @pytest.mark.parametrize(("upper", "lower"), [(0.05, 0.3), (0.0, 0.05), (0.2, 0.02)])
@@ -218,7 +218,7 @@ def test_files_that_are_no_transfer_are_refused_in_one_line(tmp_path):
 
 @pytest.fixture(scope="module")
 def finger() -> Transfer:
-    """A finger whose light was made up, to be read in any blood state."""
+    """A finger of synthetic light, to be read in any blood state."""
     scene = parse_scene(SMALL_FINGER)
     rng, count = np.random.default_rng(0), len(optics.absorbers(scene))
     trace = small(rng.random(200), rng.exponential(1.0, (200, count)))
@@ -284,7 +284,7 @@ def test_no_standard_error_is_given_for_few_photons():
 @pytest.mark.long
 @pytest.mark.jit
 def test_intervals_of_95_percent_hold_for_few_photons(jit_backend):
-    """Readings, mean paths and derivatives of 200 traces so short that some photodiodes see a handful of photons."""
+    """Readings, mean paths and derivatives of 200 traces so short that some photodiodes detect a handful of photons."""
     scene = two_layers(upper=0.3, photodiodes=4)
     tracer, count, low, high, known = LayeredTracer(scene), 200, 0, 0, 0
     runs = []
@@ -349,10 +349,10 @@ def deep_tissue(mu_a_per_mm: float) -> Scene:
 @pytest.mark.jit
 def test_a_state_of_far_less_absorption_warns(jit_backend):
     """Rationale: without absorption all light comes back from deep tissue, much of it by paths so long that a trace
-    with absorption has seen hardly any; the few that it has seen outweigh all others. Weights have no finite variance
-    where their tail index exceeds 1/2: an eighth of the absorption makes it 3/4, less in what a trace has seen.
+    with absorption has detected hardly any; the few that it has outweigh all others. Weights have no finite variance
+    where their tail index exceeds 1/2: an eighth of the absorption makes it 3/4, less in what a trace has detected.
     Expected: a warning where reading and error are wrong, and none where both are right; of twelve traces more than
-    three are off by more than three errors, most of them in fact, where of true ones none in thirty would be."""
+    three are off by more than three errors, most of them in fact, where of calibrated ones none in thirty would be."""
     off = []
     for seed in range(12):
         deep = nail.trace(deep_tissue(0.1), photons=1 << 17, seed=seed)

@@ -1,4 +1,4 @@
-"""The paper's claims: what each named set meets, that the search measures what the table shows, and that it finds."""
+"""The paper's claims: what each named set meets; the search measures what the table shows, and improves sets."""
 
 import dataclasses
 import json
@@ -225,7 +225,7 @@ def test_pairs_of_sets_go_through_the_coordinates_of_the_search():
 
 @pytest.mark.long
 def test_search_goes_on_from_a_given_set():
-    # One generation around a good set finds what random sets do not.
+    # One generation around a good set reaches what random sets do not.
     near = search(seed=0, max_seconds=1e-3, population=6, start=(parameters("best"), parameters("best")))
     assert near.pairs == 6 and near.loss < search(seed=0, max_seconds=1e-3, population=6).loss
 

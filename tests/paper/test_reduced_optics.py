@@ -1,4 +1,4 @@
-"""Reduced optics: the constants of (8) and (9) come back, with errors that are true, and no input breaks the fit."""
+"""Reduced optics: constants of (8) and (9) are recovered, with calibrated standard errors; no input breaks the fit."""
 
 import warnings
 
@@ -76,7 +76,7 @@ def test_jackknifed_errors_are_those_of_repeated_readings(fit, truth, shared):
         got = fit(DIAMETER_M, replicates[0])
         pulls.append([got.constants[name] - value for name, value in truth.items()])
         pulls[-1] /= got.stderr(DIAMETER_M, replicates)
-    # The spread of 400 pulls is known to 1 / sqrt(800) = 3.5 %; of 40 groups an error is to 11 %, which adds 1.3 %.
+    # The spread of 400 pulls is estimated to 1 / sqrt(800) = 3.5 %; of 40 groups an error is to 11 %, which adds 1.3 %.
     assert np.std(pulls, axis=0) == pytest.approx(1.02, abs=4 * 0.037)
     assert np.abs(np.mean(pulls, axis=0)).max() < 4 / np.sqrt(400)
 

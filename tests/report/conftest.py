@@ -1,4 +1,4 @@
-"""Results made up in the form of a real one, for any LEDs, times and force."""
+"""Synthetic results in the form of a real one, for any LEDs, times and force."""
 
 import json
 from pathlib import Path

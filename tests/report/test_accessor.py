@@ -53,7 +53,7 @@ def test_a_folder_gets_the_files_of_the_command_which_show_themselves_again(make
 
 
 def test_a_file_is_read_once(make, undrawn, tmp_path):
-    """Expected: what is shown later needs it no more; each lazy value that was looked up cost milliseconds."""
+    """Expected: what is shown later needs it no more; each access to a lazy value costs milliseconds."""
     path = make(leds=1).assign_attrs(TITLE).nail.report(tmp_path)["result"]
     with xr.open_dataset(path) as result:
         summary = result.nail.summary()
@@ -73,7 +73,7 @@ def test_what_a_result_lacks_is_reported(make):
 
 
 def test_a_photodiode_without_light_has_no_line(make):
-    """Expected: what detected no light is said in the legend, not drawn as a reading that stays the same."""
+    """Expected: what detected no light is stated in the legend, not drawn as a reading that stays the same."""
     result = make(leds=1).assign_attrs(TITLE)
     name = str(result.photodiode.values[0])
     result = result.assign(detected_fraction=result.detected_fraction.where(result.photodiode != name, 0.0))

@@ -77,7 +77,7 @@ def tab(browser: Any) -> Iterator[Any]:
 
 @contextmanager
 def heard(tab: Any, file: Path) -> Iterator[None]:
-    """The page must not complain meanwhile, and must ask nothing of any other file or server."""
+    """The page must log no error meanwhile, and must load no other file and call no server."""
     complaints, requested = [], []
     hear = {
         "pageerror": lambda error: complaints.append(str(error)),
@@ -121,7 +121,7 @@ def unchanged(tab: Any, file: Path) -> Iterator[Any]:
 
 @pytest.mark.parametrize("name", ["prototype", "placement"])
 def test_the_page_is_one_file_of_at_most_five_megabytes(name: str):
-    """With all nodes of its table. That it asks for no other file is seen whenever it is shown."""
+    """With all nodes of its table. That it loads no other file is checked whenever it is shown."""
     assert len(page(made_exploration(explored_scene(name), every=1)).encode()) < 5e6
 
 
@@ -290,7 +290,7 @@ def test_the_force_that_readings_resolve_is_that_of_place(unchanged: Any, explor
 
 
 def test_people_read_the_shown_layout_with_blood_touch_and_waves_of_their_own(shown: Any, explored: Exploration):
-    """Expected: what steady vessels and Cramer-Rao make of each person's readings; the table says so as parts move."""
+    """Expected: Cramer-Rao bounds of each person's readings, with steady vessels; the table follows as parts move."""
     force_n = float(explored.touch["force_n"][12])
     before = shown.inner_text("#people")
     people = shown.evaluate(
@@ -752,7 +752,7 @@ def test_an_exported_scene_opens_again_and_an_unsupported_one_is_refused_with_th
 
 
 def test_the_noise_in_the_dark_is_a_number(unchanged: Any):
-    """With fitted resistors it goes with the light, and is not given."""
+    """With fitted resistors it depends on the light, and is not given."""
     text, fixed = unchanged.inner_text("body"), unchanged.evaluate("tables.stage.feedbackOhm !== null")
     dark = r", 0\.0\d+ mV in the dark" if fixed else ""
     assert re.search(f"amplifier and converter{dark}, and the shot noise", text) and "NaN" not in text
@@ -903,7 +903,7 @@ def test_the_scene_that_those_refused_differ_from_is_taken(shown: Any, tmp_path:
 
 @on_one_page
 def test_every_shipped_finger_keeps_the_rules_of_the_page(unchanged: Any):
-    """The page knows the models' own JSON Schema: what Python takes it does not refuse."""
+    """The page uses the models' own JSON Schema: what Python accepts it does not refuse."""
     for path in sorted(data_dir("scenes").glob("*.toml")):
         scene = load_scene(path)
         for text in (path.read_text(encoding="utf-8"), to_toml(scene)) if scene.finger else ():

@@ -1,4 +1,4 @@
-"""Numbers for people: never more digits than are known, never a unit that does not suit."""
+"""Numbers for people: never more digits than are significant, never an unsuitable unit."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The page: it shows what the result holds, needs nothing else, and bears whatever names and gaps a result has."""
+"""The page: it shows what the result holds, needs nothing else, and handles any names and gaps of a result."""
 
 import os
 import re

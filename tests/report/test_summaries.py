@@ -11,7 +11,7 @@ from nailoptics.report.uncertainty_section import spread_section, spread_summary
 
 def test_the_terminal_and_the_page_have_one_definition_of_a_change(make):
     result = make(leds=2, section=False)
-    # A peak after the touch, which the end of the hold does not see.
+    # A peak after the touch, which the end of the hold does not include.
     result.volts_change[..., -1] = 1.0
     rows = simulation_summary(result)["readings"]
     assert [row["volts_change"] for row in rows] == [*photodiode_readings(result).volts_change]

@@ -212,7 +212,7 @@ def test_the_film_is_as_thick_as_the_board_of_the_file(tmp_path, caplog, general
     board.write_text(board.read_text().replace("(setup", f"{general}\n(setup {setup}"))
     scene = load_scene(path)
     assert scene.board.kapton_um == film_um
-    # What the file does not say is assumed; of what it says and no nail bears, a word, once.
+    # What the file does not state is assumed; what it states and no nail fits is warned of once.
     assert ("kapton_um" in scene.board.model_fields_set) == bool(general)
     text = "x.kicad_pcb: the board is 1600 um thick, one that bends onto a nail 5 to 500: a film of 25 um is taken"
     assert caplog.text.count(text) == caplog.text.count("thick") == ("1.6" in general and not more)
@@ -285,7 +285,7 @@ def test_check_names_what_of_the_board_is_assumed(tmp_path, capsys, coarse_light
     board.write_text(board.read_text().replace("(setup", "(general (thickness 1.6))\n(setup"))
     assert run(["check", str(path), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
-    # The thickness is said, and is none of a film.
+    # The thickness is stated, and is none of a film.
     assert "kapton_um" not in report["assumed"]
     assert [line for line in report["warnings"] if "1600 um thick" in line and "film of 25 um" in line]
     assert report["assumed"]["clear_epoxy_um"] == 400.0 and "barrier" not in report["assumed"]

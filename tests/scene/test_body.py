@@ -1,4 +1,4 @@
-"""What moves the arterial pressure, as a scene says it: off unless requested, or recorded."""
+"""What moves the arterial pressure, as a scene states it: off unless requested, or recorded."""
 
 import pytest
 from small_scenes import SMALL_FINGER

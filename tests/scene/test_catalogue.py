@@ -164,7 +164,7 @@ def test_an_impossible_table_of_a_photodiode_is_refused(tmp_path, field, rows, w
     ("name", "nm", "ua_at_1_mw_per_cm2"), [("sfh2400fa", 870.0, 6.2), ("bp104s", 850.0, 30.0), ("g1738", 940.0, 0.0)]
 )
 def test_photocurrents_of_more_photodiodes_match_their_data_sheets(name, nm, ua_at_1_mw_per_cm2):
-    """Expected: within a tenth the sheet's photocurrent, or its area times its responsivity; GaAsP sees no infrared."""
+    """Expected: within a tenth the sheet's photocurrent, or its area times its responsivity; GaAsP has no infrared."""
     part = scene.Photodiode.model_validate({"part": name, "position_mm": (0.0, 0.0)})
     current_ua = 10 * part.size_mm[0] * part.size_mm[1] * float(responsivity_a_per_w(part, nm))
     assert current_ua == pytest.approx(ua_at_1_mw_per_cm2, rel=0.1)

@@ -61,7 +61,7 @@ def test_a_drawing_of_bare_entities_is_read(tmp_path):
     ids=["circle", "bulges", "old polyline", "ellipse", "arc", "spline"],
 )
 def test_curves_become_polygons_of_their_area(tmp_path, draw, area):
-    # Lines within 2 um of a curve some 30 mm long err by less than 0.06 mm2.
+    # Lines within 2 um of a curve some 30 mm long have an error below 0.06 mm2.
     assert area_mm2(drawn(tmp_path, draw).corners_mm) == pytest.approx(area, abs=0.06)
 
 

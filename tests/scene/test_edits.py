@@ -39,7 +39,7 @@ def test_what_a_scene_is_edited_to_is_what_a_file_with_these_lines_is(scene):
     assert (cycle.period_s, cycle.duration_s) == (20.0, 40.25)
     assert scene.with_(**{"touch.site": "distal"}).touch.proximal_share == 0.0
     driven = scene.with_led("ir", flux_mw=3.0, current_ma=10.0)
-    assert driven.with_led("ir", flux_mw=4.0).leds[0].current_ma == 10.0  # was given, and goes with no part
+    assert driven.with_led("ir", flux_mw=4.0).leds[0].current_ma == 10.0  # was given, and belongs to no part
 
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in data_dir("scenes").glob("*.toml")))
@@ -152,7 +152,7 @@ def test_assigning_a_field_is_refused_with_the_way_to_change_it(scene):
 
 
 def test_an_edit_without_effect_is_refused(tmp_path, scene):
-    """Where the part is not to be had any more, or the board's file has been read."""
+    """Where the part is no longer available, or the board's file has been read."""
     (tmp_path / "mine.toml").write_text('kind = "led"\npeak_nm = 850.0\nfwhm_nm = 30.0\nflux_mw = 3.0\n')
     text = finger({"name": "p", "position_mm": [2.0, 0.0]}, leds=({"part": "mine"},))
     mine = nail.parse_scene(text, folder=tmp_path)
@@ -174,7 +174,7 @@ def test_a_scene_is_built_from_a_board_of_kicad(monkeypatch):
     assert nail.parse_scene(nail.to_toml(worn)) == worn
     moved = worn.with_led("D1", position_mm=(-4.0, 0.0))
     assert moved.leds[0].reference == "D1" and moved.board == worn.board
-    # The film is the file's, or assumed, as check says; an edit must not make it stated.
+    # The film is the file's, or assumed, as check reports; an edit must not make it stated.
     assert moved.board.model_fields_set == worn.board.model_fields_set
 
 

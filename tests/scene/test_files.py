@@ -144,7 +144,7 @@ def test_a_byte_order_mark_is_no_obstacle(tmp_path):
 
 @pytest.mark.parametrize("kind", ["scene", "sweep"])
 def test_the_schema_that_is_printed_is_the_shipped_file_to_the_byte(capsys, kind):
-    """Whoever adds a field writes the file anew with the command, and sees what changed."""
+    """After adding a field, regenerate the file by the command, and read the difference."""
     assert run(["schema", "--of", kind]) == 0
     assert capsys.readouterr().out == (data_dir("scenes") / f"{kind}.schema.json").read_text(encoding="utf-8")
 

@@ -1,4 +1,4 @@
-"""Whatever a file holds, reading it ends with what was read or with one line that says what is wrong."""
+"""Whatever a file holds, reading it ends with what was read or with one line that states what is wrong."""
 
 import os
 import tomllib
@@ -72,7 +72,7 @@ def changed(tables, path, value):
 def toml(tables) -> bytes:
     try:
         return tomli_w.dumps(tables).encode()
-    except (TypeError, ValueError):  # what TOML cannot say
+    except (TypeError, ValueError):  # what TOML cannot express
         return b"schema_version = 1"
 
 

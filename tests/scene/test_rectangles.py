@@ -21,7 +21,7 @@ def test_strips_have_the_area_and_the_centre_of_a_turned_rectangle(angle):
     areas = np.array([one.area_mm2 for one in strips])
     assert result.area_mm2 == 0.25 and areas.sum() == pytest.approx(0.25)
     center = areas @ np.array([one.center_mm for one in strips]) / areas.sum()
-    # Along v a strip's light counts at its middle, which errs in the two at the ends alone.
+    # Along v a strip's light counts at its middle, which is inexact in the two at the ends alone.
     assert center == pytest.approx((0.3, -0.7), abs=STRIP_MM / 20)
     assert all(low.v_max == high.v_min for low, high in zip(strips, strips[1:], strict=False))
     assert (result.v_min, result.v_max) == (strips[0].v_min, strips[-1].v_max)

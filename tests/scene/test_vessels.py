@@ -77,7 +77,7 @@ def test_tuned_vessels_answer_a_touch_in_their_own_way():
 
 
 def test_bistable_forces_are_reported():
-    """Strong feedback on soft capillaries: few of them, with walls that give way."""
+    """Strong feedback on soft capillaries: few of them, with compliant walls."""
     listed = SMALL_FINGER_BEST.replace("best", "listed")
     soft = listed + "[blood.tuning]\ncapillary_count = 1e3\ncapillary_stiffness_n_per_m = 1.5e4\n[touch]\n" + DISTAL
     assert blood_model(parse_scene(listed + "[touch]\n" + DISTAL)).bistable_forces_n().size == 0

@@ -1,4 +1,4 @@
-"""Electronics: volts and noise against closed forms and the sensor's known figures."""
+"""Electronics: volts and noise against closed forms and the sensor's published figures."""
 
 import numpy as np
 import pytest

@@ -148,7 +148,7 @@ def test_the_short_trace_is_that_of_a_long_one(jit_backend, shared_light):
 
 @pytest.mark.slow
 def test_fitted_resistors_hold_nearly_all_people_below_the_limit(jit_backend):
-    """Over draws of all that is unknown of the finger, traces of their own included; half of the headroom does not."""
+    """Over draws of all priors of the finger, traces of their own included; half of the headroom does not."""
     scene = with_fitted_resistors(prototype())
     transfer = trace(scene, photons=50_000, seed=1)
     whole = np.zeros((2, len(scene.zone_edges_mm) + 1))

@@ -1,4 +1,4 @@
-"""Drift and motion of the worn sensor: as strong as the scene says, the same for one seed, and traced."""
+"""Drift and motion of the worn sensor: as strong as the scene states, the same for one seed, and traced."""
 
 from types import SimpleNamespace
 
@@ -104,7 +104,7 @@ def test_a_slide_of_either_sign_scales_with_the_moved_boards_light(distance_um):
 
 
 def test_the_error_of_a_change_has_that_of_the_reading_as_far_as_drift_scales_it():
-    """Light of a relative error of 2 % that never changes: what drift makes of it is known to 2 %, but for a term of
+    """Light of a relative error of 2 % that never changes: the change by drift is known to 2 %, but for a term of
     second order, the drift itself."""
     scene = worn(3, drift=Drift(led_per_rt_min=0.1, reading_per_rt_min=0.0)).with_({"electronics.feedback_ohm": 1e5})
     course = blood_over_touch(scene.model_copy(update={"body": None}))
@@ -134,13 +134,13 @@ def test_a_worn_sensor_reads_light_times_motion_and_drift(chosen_jit, coarse_cel
     assert not plain.saturated.any() and np.abs(moved.volts / plain.volts - 1).max() > 5e-3
     assert np.abs(by_lift - 1).max() > 4e-3 and np.abs(drift - 1).max() > 4e-3
     assert float(moved.lift_per_um_stderr.max()) > 0
-    # Where the converter is at its limit nothing is unknown of volts, and of changes what is of the other reading.
+    # Where the converter is at its limit volts have no uncertainty, and changes have that of the other reading.
     mid_v = float(plain.volts.min() + plain.volts.max()) / 2
     full = simulate(still.with_({"electronics.feedback_ohm": 1e5 * 5.0 / mid_v}), photons=1 << 16, seed=4)
     at_limit, stderr = full.saturated.values[0, 0], full.volts_stderr.values[0, 0]
     assert at_limit.any() and not at_limit[0] and "saturated: pd; lower leds.flux_mw or" in caplog.text
     assert (stderr[at_limit] == 0).all() and (stderr[~at_limit] > 0).all()
     assert (full.volts_change_stderr.values[0, 0, at_limit] == stderr[0]).all()
-    # One seed, one course.
+    # One seed, one time series.
     again = simulate(still.model_copy(update={"body": body}), photons=1 << 16, seed=4)
     assert np.array_equal(again.volts, moved.volts)

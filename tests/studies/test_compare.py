@@ -1,4 +1,4 @@
-"""The comparison against made-up light whose answer is known in closed form, and once on the prototype."""
+"""The comparison against synthetic light with a closed-form answer, and once on the prototype."""
 
 import itertools
 import json
@@ -76,7 +76,7 @@ def per_blood(scene: Scene) -> float:
 
 
 def test_light_of_one_path_in_one_zone_is_beer_lambert():
-    """Rationale: the paper's assumptions, all met. Expected: (8) exact; (9) off by its truncation only."""
+    """Rationale: the paper's assumptions, all met. Expected: (8) exact; (9) in error by its truncation only."""
     transfer = synthetic(np.full(4000, 4.0), np.zeros(4000))
     result = evaluated(transfer, "force", "blood").isel(led=0)
     depth = 4.0 * per_blood(transfer.scene) * result.setting.sel(sweep="blood").values
@@ -95,7 +95,7 @@ def test_light_of_one_path_in_one_zone_is_beer_lambert():
 
 
 def test_a_spread_of_paths_is_separated_from_truncation():
-    """Gamma-distributed paths of shape k and scale s read (1 + s x)^-k; (8) with their mean is off by the rest."""
+    """Gamma-distributed paths of shape k and scale s read (1 + s x)^-k; the error of (8) by their mean is the rest."""
     shape, scale = 2.0, 2.5
     draw = np.random.default_rng(3).gamma(shape, scale, 20_000)
     transfer = synthetic(draw, np.zeros_like(draw))
@@ -144,8 +144,8 @@ def test_the_parts_add_up_to_the_error_of_taylor():
 
 
 def test_the_page_names_no_part_that_was_not_estimated():
-    """Rationale: a comparison cut off before the bed's scattering was traced knows nothing of it.
-    Expected: the largest of the parts that are known; none where none is.
+    """Rationale: a comparison cut off before the bed's scattering was traced has no estimate of it.
+    Expected: the largest of the parts that were estimated; none where none was.
     """
     draw = np.random.default_rng(4).gamma(2.0, 2.5, 2000)
     computed = evaluated(synthetic(draw, draw), "blood", slopes=np.full((2, 1, 8), np.nan))
@@ -221,8 +221,8 @@ def test_printed_intervals_of_a_comparison_have_their_nominal_coverage():
 @pytest.mark.slow
 @pytest.mark.jit
 def test_the_slope_by_the_beds_scattering_has_a_calibrated_standard_error(jit_backend):
-    """Expected: over 20 seeds, of photodiodes that some 25 photons or more reach, 95 % intervals hold the slope of
-    sixteen times the photons as often as they say."""
+    """Expected: over 20 seeds, of photodiodes that some 25 photons or more reach, 95 % intervals cover the slope of
+    sixteen times the photons at their nominal rate."""
     scene = prototype(fwhm_nm=0.0)
 
     def slopes(photons: int, seed: int) -> np.ndarray:
@@ -254,7 +254,7 @@ def test_limits_and_their_intervals():
 
 
 def test_limits_in_a_measure_that_is_traced_have_its_error_too():
-    """An error that grows to 10 % over ten points, where alpha D^2 is known to 0.03."""
+    """An error that grows to 10 % over ten points, where alpha D^2 has an error of 0.03."""
     points, shape = np.arange(11.0), (len(formula_errors.WAYS), len(formula_errors.MODELS), 11)
     alpha, error = 0.2 * points, np.full(11, 0.03)
     errors = {"range_error": np.broadcast_to(0.01 * points, shape), "range_error_stderr": np.full(shape, 0.01 / Z95)}
@@ -301,7 +301,7 @@ def test_a_verdict_on_many_readings_has_its_nominal_error_rate():
         truth: {word: computed.count(word) / 150 for word in set(computed)} for truth, computed in outcomes.items()
     }
     assert share[0.05].get("missed", 0) < 0.1 and share[0.05].get("met", 0) < 0.01
-    # The largest of eight lies above the truth by chance; the interval that is printed knows.
+    # The largest of eight lies above the truth by chance; the printed interval includes that.
     assert 0.95 <= np.mean(held) < 1
     assert share[0.09]["missed"] > 0.95 and share[0.01]["met"] > 0.8
 

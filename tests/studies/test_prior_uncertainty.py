@@ -1,4 +1,4 @@
-"""Spread over what is unknown of the finger: against closed forms, fresh traces, joint draws and other photons."""
+"""Uncertainty over the priors of the finger: against closed forms, fresh traces, joint draws and other photons."""
 
 import warnings
 from collections.abc import Iterator
@@ -51,7 +51,7 @@ def ends(scene: Scene) -> np.ndarray:
 
 
 def held_ends(scene: Scene) -> tuple[np.ndarray, None]:
-    """The same as `readings_over_priors` takes them, of blood as saturated as the scene says."""
+    """The same as `readings_over_priors` takes them, of blood as saturated as the scene states."""
     return ends(scene), None
 
 
@@ -88,7 +88,7 @@ def test_the_nodes_of_a_prior_have_its_mean_and_standard_deviation(scale):
 
 
 def test_light_of_one_path_varies_as_the_absorption_does():
-    """Rationale: of one path L in the plate ln reading = -mu_a L f + const; f is lognormal with a known variance."""
+    """Rationale: of one path L in the plate ln reading = -mu_a L f + const; f is lognormal with a given variance."""
     halved_to_doubled = PriorRange(field="finger.plate_absorption", low=0.5, high=2.0)
     scene, length_mm = prototype(*all_but("finger.plate_absorption"), ranges=(halved_to_doubled,)), 2.0
     names = optics.absorbers(scene)
@@ -151,7 +151,7 @@ def test_one_prior_at_a_time_adds_up_to_all_at_once(reread):
             draws.append(relative(reread, one))
     level = np.log([one[0] for one in draws]).std(0, ddof=1)
     signal = np.array([one[2] for one in draws]).std(0, ddof=1)
-    # Of 160 draws a standard deviation is known to 6 %, all photodiodes alike; lognormal tails make it some more.
+    # Of 160 draws a standard deviation is estimated to 6 %, all photodiodes alike; lognormal tails make it some more.
     assert result.level.total[0][0] == pytest.approx(level, rel=0.3)
     assert result.signal.total[0][0] == pytest.approx(signal, rel=0.3)
 
@@ -231,7 +231,7 @@ def test_the_standard_error_of_a_prior_uncertainty_is_calibrated(traced):
 
 
 def test_photon_noise_adds_nothing_to_the_prior_uncertainty():
-    """Answers that go with the standardised field, by slopes of 20 groups of photons that scatter by 1 about 1.
+    """Responses proportional to the standardised field, by slopes of 20 groups of photons that scatter by 1 about 1.
     Expected: their mean's square is 1.05 in the mean of repeats, and 1 once its noise is taken away, to 0.003."""
     slopes = leave_one_out(1 + np.random.default_rng(5).standard_normal((20, 20_000)))
     nodes = NODES[None, :, None, None] * slopes
@@ -250,7 +250,7 @@ def test_a_scattering_prior_has_traces_of_its_own(chosen_jit):
     assert result.untraced == () and [one.field for one in result.level.priors][1] == "finger.plate_scattering"
     value, error = (each[1] for each in result.level.by_prior)
     assert (value > 3 * error).sum() > 4
-    # A plate that scatters the most passes the least, where the photodiodes see enough light; those next to the LED
+    # A plate that scatters the most passes the least, where the photodiodes get enough light; those next to the LED
     # lose so little that 200 000 photons, with errors of 2 %, do not resolve it.
     nodes = result.level.nodes[1, :, 0, 0, :, 0]
     less = nodes[1, 2:6] - nodes[2, 2:6]
@@ -261,7 +261,7 @@ def test_a_scattering_prior_has_traces_of_its_own(chosen_jit):
 
 def test_the_traces_of_all_priors_share_one_time(reread, monkeypatch):
     """Traces of 4 s each, five of two priors; expected: each may take its share of what is left, and none begins that
-    would end too late, so that of a prior whose traces are not complete nothing is said."""
+    would end too late, so that a prior whose traces are not complete is left out."""
     scene, now_s, limits = prototype(*all_but("finger.plate_scattering", "finger.bed_scattering")), [0.0], []
 
     def traced_for_4_s(varied, *, max_seconds, **how):

@@ -1,4 +1,4 @@
-"""What check says of a scene: it predicts readings, names what is ignored, and refuses what later commands refuse."""
+"""What check reports: it predicts readings, names what is ignored, and refuses what later commands refuse."""
 
 import pytest
 from small_scenes import PLACEMENT

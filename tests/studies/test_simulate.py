@@ -43,7 +43,7 @@ PHOTONS = 1 << 18
 
 
 def prototype(**touch) -> Scene:
-    """The prototype, of whose scattering that of the bed alone is unknown, touched differently."""
+    """The prototype, whose only prior of scattering is that of the bed, touched differently."""
     scene = load_scene(data_dir("scenes") / "prototype.toml")
     priors = scene.priors.model_copy(update={"known": KNOWN_PRIORS})
     return scene.model_copy(update={"touch": scene.touch.model_copy(update=touch), "priors": priors})
@@ -217,7 +217,7 @@ def test_the_reduced_optics_follow_the_traced_volts(pressed):
 def test_fitted_constants_scatter_over_seeds_by_their_standard_errors(chosen_jit):
     """Rationale: all samples of a reading share the photons' noise, so what they miss of a curve is not its error.
     Expected: of ten traces of few photons, 95 % intervals of the constants of Taylor (9) and Beer-Lambert (8) hold
-    their mean as often as they say, and the spread over the traces is the stated one."""
+    their mean at their nominal rate, and the spread over the traces is the stated one."""
     scene = quiet(load_scene(data_dir("scenes") / "static_proximal.toml"))
     results = [simulate(scene, photons=30_000, seed=seed) for seed in range(10)]
     for name in ("taylor_v0_v", "taylor_v1_v_per_m2", "beer_lambert_v1_v", "beer_lambert_alpha_per_m2"):
@@ -260,7 +260,7 @@ def test_of_very_many_samples_what_there_is_of_each_is_single(chosen_jit, monkey
     many = simulate(scene, **options)
     assert many.time.dtype == few.volts.dtype == float and many.volts.dtype == many.blood_fraction.dtype == np.float32
     write_dataset(many, tmp_path / "result.nc")
-    # A change is known to the precision of the reading that it is a change of; zones' ends are means of many samples.
+    # A change has the precision of the reading that it is a change of; zones' ends are means of many samples.
     least = {"volts_change": 2e-7 * few.volts.max(), "volts_change_stderr": 1e-7 * few.volts_stderr.max()}
     with xr.open_dataset(tmp_path / "result.nc") as stored:
         assert set(stored.variables) == set(many.variables) == set(few.variables)
@@ -554,7 +554,7 @@ def test_blood_over_time_starts_at_rest_and_diverges_under_force():
 
 @pytest.mark.parametrize("body", [None, {"heartbeat": {}}])
 def test_over_priors_of_the_blood_at_rest_blood_over_time_is_that_of_its_own_touch(monkeypatch, body):
-    """Eq. (7): blood goes with the blood at rest, so that another one needs no other course; that of arterioles, which
+    """Eq. (7): blood is proportional to the blood at rest, another one needs no other run; that of arterioles, which
     are there where a heart beats, does not."""
     scene, requested = prototype(duration_s=1.0, release_s=0.9).with_({"body": body}), []
     course = blood_over_touch(scene)

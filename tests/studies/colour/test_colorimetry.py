@@ -1,4 +1,4 @@
-"""Reflectance to colour, against what the CIE says of white, grey and black."""
+"""Reflectance to colour, against the CIE's values of white, grey and black."""
 
 from dataclasses import replace
 from types import SimpleNamespace

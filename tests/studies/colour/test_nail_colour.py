@@ -1,4 +1,4 @@
-"""The traced colour of a nail: true errors, the order of the paper's Fig. 2, what blood and melanin do, the files."""
+"""The traced colour of a nail: calibrated errors, the order of the paper's Fig. 2, blood and melanin, the files."""
 
 import json
 
@@ -27,12 +27,12 @@ PATCHES = (Patch((0.0, 0.0), (4.0, 8.0)), Patch((0.0, -7.5), (4.0, 1.5)))
 YUN_LAB = np.array([[64.15, 8.96, 18.34], [4.86, 2.65, 2.39]])
 IADR_LAB = [[52.5, 17.0, 18.9], [37.7, 17.2, 14.7], [49.4, 22.0, 12.3], [41.5, 25.5, 13.3], [26.7, 14.6, 14.7]]
 LOOK = Viewing(lit_by="sky", gloss=False)
-# A nail plate as moist as on a living finger: the bed is seen through it.
+# A nail plate as moist as on a living finger: the bed is visible through it.
 SCENE = parse_scene(SMALL_FINGER_BEST.replace("[finger]", "[finger]\nplate_scattering = 0.3"))
 
 
 def without_spread(scene):
-    """The scene whose spread over what is unknown is not requested, which takes rays of its own."""
+    """The scene without prior uncertainty, which would take rays of its own."""
     return scene.model_copy(update={"priors": scene.priors.model_copy(update={"spread": False})})
 
 
@@ -108,7 +108,7 @@ def test_a_colours_standard_error_is_calibrated(jit_backend):
     lab = np.array([viewer.lab(one)[0] for one in result])
     error = np.array([nail.statistics.jackknife(viewer.lab(one)) for one in result])
     ratio = lab.std(0, ddof=1) / np.sqrt((error**2).mean(0))
-    # Of 20 repeats a standard deviation is known to 16 %.
+    # Of 20 repeats a standard deviation is estimated to 16 %.
     assert np.all(np.abs(np.log(ratio)) < 0.55) and abs(np.log(ratio).mean()) < 0.25
     inside = np.abs(lab - lab.mean(0)) < 1.96 * error
     assert 0.88 < inside.mean() < 0.99
@@ -135,7 +135,7 @@ def test_a_stored_colour_is_the_same_and_walks_no_ray(jit_backend, tmp_path, mon
     monkeypatch.setattr(NailReflectance, "_batch", None)
     again = colour(quiet, forces_n=(0.0, 4.0), photons=8_000, seed=4, stores=stores)
     assert np.array_equal(first.lab.values, again.lab.values)
-    # Another skin, other blood and another lamp see by the same rays.
+    # Another skin, other blood and another lamp use the same rays.
     other = quiet.model_copy(
         update={
             "finger": quiet.finger.model_copy(update={"melanin_fraction": 0.05}),

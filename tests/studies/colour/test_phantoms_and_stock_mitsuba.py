@@ -1,4 +1,4 @@
-"""The traced reflectance of known things: layered, white and black phantoms, and the finger that stock Mitsuba sees."""
+"""The traced reflectance of known things: layered, white and black phantoms, and the finger by stock Mitsuba."""
 
 import iadpython
 import numpy as np
@@ -48,7 +48,7 @@ class FlatStack(NailReflectance):
             board_radius_mm=8.8,
             grid=None,
         )
-        # No distance is known anywhere: every step casts a ray.
+        # No distance is precomputed anywhere: every step casts a ray.
         unknown, flat = np.zeros((2, 1, 1, 1), np.float32), np.zeros(len(shape.triangles), bool)
         self.flat = shape, DistanceGrid(unknown, flat, np.zeros((0, 2)), np.inf, np.zeros(3), 1.0)
 

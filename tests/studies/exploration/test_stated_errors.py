@@ -51,7 +51,7 @@ def traced(scene: Scene, die_mm: Any, places_mm: np.ndarray, *, seed: int) -> tu
 
 
 def pulls(seed: int, *, photons: int = PHOTONS, response: Any = None) -> np.ndarray:
-    """How far readings of three places of an LED are off, in their standard errors.
+    """Errors of readings of three places of an LED, in their standard errors.
 
     photons : of the table. response : angular response of the photodiodes.
     """

@@ -1,4 +1,4 @@
-"""What the page shows of traced light is what `simulate` makes of the scene that it exports."""
+"""What the page shows of traced light is what `simulate` computes from the scene that it exports."""
 
 from typing import Any
 

@@ -41,7 +41,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _calibrated(recording: Path, subject: Path) -> None:
-    """A subject from one recording, by the command; the scene says how the pulp gives way."""
+    """A subject from one recording, by the command; the scene states the creep of the pulp."""
     scene = subject.with_name("prototype.toml")
     scene.write_text(to_toml(made_sensor.scene()))
     with pytest.MonkeyPatch.context() as patch:
@@ -50,7 +50,7 @@ def _calibrated(recording: Path, subject: Path) -> None:
 
 
 def _without_a_trace(patch: pytest.MonkeyPatch) -> None:
-    """Nothing is traced, nor drawn on a page that nobody reads."""
+    """Nothing is traced, nor drawn on a page that is not read."""
     patch.setattr(style, "to_svg", lambda *_, **__: "<svg></svg>")
     patch.setattr(calibrating, "open_light", lambda *_, **__: None)
     patch.setattr(calibrating, "reading_table", lambda *_: made_sensor.table())
@@ -157,7 +157,7 @@ CALIBRATING = [
         "recorded at 25 and 50 Hz; record all",
     ),
     (_column("site", lambda cell, k: "distal"), "record both sides, as `nailoptics protocol` has them"),
-    # Both sides at once say nothing of either, nor does the usual scene where the column is missing.
+    # Both sides at once do not identify either, nor does the default scene where the column is missing.
     (_column("site", lambda cell, k: "even"), "record both sides, as `nailoptics protocol` has them"),
     (
         lambda text: text.replace(",site,", ",", 1).replace(",proximal,", ","),

@@ -1,4 +1,4 @@
-"""Force from volts from the command line alone: two recordings, a calibration, and a touch that it has not seen."""
+"""Force from volts from the command line alone: two recordings, a calibration, and a held-out touch."""
 
 import csv
 import json
@@ -40,7 +40,7 @@ def test_a_person_is_recorded_calibrated_and_predicted(
     chosen_jit: object, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     """Rationale: three scenes of one small board, few photons. Expected: every command ends with 0 and writes what it
-    says, and the force is estimated far better than not at all, with an interval that holds it.
+    reports, and the force is estimated far better than not at all, with an interval that covers it.
     """
     for name, site, force_n in (("one", "proximal", 1.2), ("two", "distal", 1.2), ("touch", "proximal", 0.6)):
         scene = tmp_path / f"{name}.toml"
@@ -58,7 +58,7 @@ def test_a_person_is_recorded_calibrated_and_predicted(
     assert f"What was reached is in {late}." in capsys.readouterr().err and load_subject(late).quality.rms_n < 1.0
     estimated = _json(capsys, ["predict", str(subject), str(tmp_path / "touch.csv"), "-o", str(tmp_path / "predicted")])
     assert estimated["rms_n"] < 0.1 and estimated["coverage_95"] > 0.8 and estimated["consistent"]
-    # Four cycles; each event stands beside the true one of its own cycle, which it may precede.
+    # Four cycles; each event stands beside the measured one of its own cycle, which it may precede.
     assert [event["kind"] for event in estimated["events"]] == ["press", "release"] * 4
     assert all(abs(event["latency_s"]) < 0.3 for event in estimated["events"])
     made = {path.name for path in (tmp_path / "predicted").iterdir()}

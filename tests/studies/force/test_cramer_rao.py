@@ -14,7 +14,7 @@ from nailoptics.studies.force.subject import Subject, parse_subject
 
 @pytest.fixture(scope="module")
 def calibrated() -> Subject:
-    """A subject whose sensor and vessels are known exactly, whose body is still, and whose readings do not drift."""
+    """A subject calibrated without error, whose body is still, and whose readings do not drift."""
     result, light = parse_subject(made_sensor.subject()), made_sensor.table()
     return replace(
         result,
@@ -59,7 +59,7 @@ def test_a_held_touch_is_estimated_as_finely_as_placement_predicts(
     time_s = made_sensor.STEP_S * np.arange(500)
     held = force_n * np.where(time_s < 1, 0.0, 1 - np.exp(-np.maximum(time_s - 1, 0) / 0.3))
     estimated = predict(calibrated, made_sensor.record(held, site, seed=5))
-    # 250 samples know an rms to 5 %.
+    # 250 samples determine an rms to 5 %.
     rms_n = float(np.sqrt(np.mean((estimated.force_n.values - held)[time_s >= 5] ** 2)))
     assert 0.7 * bound_n < rms_n < 1.3 * bound_n
     assert bound_n < 1e-3

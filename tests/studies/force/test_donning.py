@@ -27,13 +27,13 @@ SPREAD = 0.05
 
 
 def gains(readings: int, pattern: int) -> np.ndarray:
-    """Gains whose logarithms are all of this size, with the signs of a Hadamard matrix's row: how far a touch is off by
-    them depends on how alike they are to what blood does, for random ones by a factor of ten."""
+    """Gains whose logarithms are all of this size, with the signs of a Hadamard matrix's row: the error of a touch by
+    them depends on how similar they are to what blood does, for random ones by a factor of ten."""
     return np.exp(SPREAD * hadamard(readings)[pattern])
 
 
 def put_on(recording: Recording, pattern: int) -> Recording:
-    """What the sensor reads of the same when it was put on anew."""
+    """What the sensor reads of the same after another donning."""
     return replace(recording, volts=recording.volts * gains(len(recording.names), pattern)[:, None])
 
 
@@ -43,7 +43,7 @@ def next_from_mean(gain: np.ndarray) -> float:
 
 
 def twice() -> Recording:
-    """A recording with a pause in which the sensor was put on anew."""
+    """A recording with a pause in which the sensor was donned again."""
     first, second = made_sensor.record_touches(seed=4), put_on(made_sensor.record_touches(seed=5), 1)
     time_s = np.concatenate([first.time_s, first.time_s[-1] + 40.0 + second.time_s])
     force_n, site = (np.concatenate([getattr(one, name) for one in (first, second)]) for name in ("force_n", "site"))
@@ -80,8 +80,8 @@ def test_a_calibration_estimates_how_readings_differ_between_donnings() -> None:
     assert all(result.attrs["consistent"] for result in results)
     assert max(float(result.touch_rms_n[0]) for result in results) < 0.06
     assert np.mean([float(result.touch_coverage_95[0]) for result in results]) > 0.8
-    # A calibration that never saw it takes the other gains for touches, and says that they do not fit: the rms errors
-    # are 0.04, 0.07 and 0.18 N, and 0.01, 0.03 and 0.05 N by the calibration that saw it, whatever the noise.
+    # A calibration without it mistakes the other gains for touches, and reports a misfit: the rms errors
+    # are 0.04, 0.07 and 0.18 N, and 0.01, 0.03 and 0.05 N by the calibration with it, whatever the noise.
     lost = [predict(once, one) for one in anew]
     assert not any(result.attrs["consistent"] for result in lost)
     off, known = (np.sqrt(np.mean([float(one.touch_rms_n[0]) ** 2 for one in some])) for some in (lost, results))

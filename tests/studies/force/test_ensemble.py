@@ -70,7 +70,7 @@ def test_errors_are_of_touches_that_were_held_out():
     # Weights that are drawn towards the filter cost little even where the filter is wrong.
     assert ensemble.errors_n["ensemble"] < 1.01 * min(members_n)
     assert ensemble.errors_n["ensemble"] < 0.6 * ensemble.errors_n["filter"]
-    # Half of the 0.293 N by which a filter errs that takes a part of the pressure's waves for light.
+    # Half of the 0.293 N error of a filter that mistakes a part of the pressure's waves for light.
     assert ensemble.errors_n["ensemble"] < 0.146
 
 
@@ -150,7 +150,7 @@ def test_the_zero_follows_a_slow_drift_at_rest_alone():
 
 
 def test_the_zero_follows_readings_that_are_far_from_it_four_times_slower():
-    """Rationale: a filter that takes a slow touch for a wave says that the finger rests."""
+    """Rationale: a filter that mistakes a slow touch for a wave estimates that the finger rests."""
     for far, slower in ((3.0, 4.0), (0.1, 1.0)):
         step = np.where(np.arange(100) < 10, 0.0, far)[None]
         values = Features(np.eye(1)).over_rest(np.exp(step), np.full(100, True), np.full(100, 1.0))
@@ -176,7 +176,7 @@ def test_readings_at_rest_and_memory_begin_anew_after_a_gap_as_the_filter_does()
 def test_the_filter_counts_half_in_touches_of_both_sides_and_nothing_in_those_of_one():
     share = np.array([0.0, 0.2, 0.35, 0.5, 0.8, 1.0])
     assert mixed(np.ones((2, 6)), np.full(6, 2.0), share)[0] == pytest.approx(np.array([1.0, 1.0, 1.25, 1.5, 1.0, 1.0]))
-    # Nor where members see no touch, whatever the gate says.
+    # Nor where members estimate no touch, whatever the gate.
     assert (mixed(np.zeros((2, 6)), np.full(6, 2.0), share)[0] == 0.0).all()
 
 
@@ -198,7 +198,7 @@ def test_what_the_filter_moves_a_touch_of_both_sides_by_widens_its_interval_by_h
 
 
 def test_a_filter_that_overshoots_is_followed_only_where_members_estimate_a_hard_touch():
-    """Expected: of both sides it counts as the largest force that members know, 1.2 N here."""
+    """Expected: of both sides it counts as the largest calibrated force of the members, 1.2 N here."""
     assert estimate_of(0.4, 1.0, 3.0)[0] == pytest.approx(0.4) and estimate_of(0.4, 0.5, 3.0)[0] == pytest.approx(0.8)
     assert estimate_of(1.2, 1.0, 3.0)[0] == estimate_of(1.2, 0.5, 3.0)[0] == pytest.approx(3.0)
 
@@ -215,7 +215,7 @@ def test_errors_of_the_share_are_those_of_each_side():
 
 
 def test_intervals_hold_rest_where_the_filter_may_be_at_rest():
-    """Whatever the ensemble says, whose narrow interval holds no 0 here."""
+    """Whatever the ensemble's estimate, whose narrow interval excludes 0 here."""
     ensemble = subject().ensemble
     assert ensemble is not None
     moved = replace(ensemble, intercept_n=ensemble.intercept_n + 0.3, half_width_n=np.full((2, 4), 1e-6))

@@ -32,7 +32,7 @@ def at_rest_n(touches: int) -> Iterator[float]:
 @pytest.mark.long
 def test_touches_leave_the_zero_of_the_force_where_it_is() -> None:
     before_n = list(at_rest_n(16))
-    # Were touches whose blood the model does not quite follow taken for drift, it would grow to 12 mN.
+    # Were touches whose blood the model does not quite follow mistaken for drift, it would grow to 12 mN.
     assert max(before_n) < 2e-3
 
 

@@ -1,4 +1,4 @@
-"""Standard errors of a person's factors: true over people and seeds, with a body that beats, breathes and drifts."""
+"""Standard errors of a person's factors against scatter over people and seeds, with heartbeat, breath and drift."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from nailoptics.studies.force.fit import Fit
 from nailoptics.studies.force.person import NAMES, PRIORS, SPREAD_LN
 
 PEOPLE = 24
-# Nobody's share or reach is searched: the touches are one-sided, and the scene's two zones share no pressure. These
+# No person's share or reach is searched: the touches are one-sided, and the scene's two zones share no pressure. These
 # people's pulp is rigid.
 FIXED = ("proximal_share", "distal_reach", "creep", "distal_recovery")
 FREE = np.array([name not in FIXED for name in NAMES])

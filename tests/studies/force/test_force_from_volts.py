@@ -1,4 +1,4 @@
-"""Force from volts: a person is estimated from recordings of known force, and force from the person's readings."""
+"""Force from volts: a person is estimated from recordings of measured force, and force from the person's readings."""
 
 import re
 from dataclasses import replace
@@ -118,11 +118,11 @@ def subject(table: ReadingTable) -> Subject:
 def test_the_persons_factors_are_estimated_within_their_standard_errors(subject: Subject) -> None:
     spread = subject.stderr[: len(NAMES)]
     off = (subject.factors_ln - TRUTH_LN) / spread
-    # The true person's proximal capillaries feel nothing of a distal touch: no factor says that.
+    # The true person's proximal capillaries feel nothing of a distal touch: no factor describes that.
     reach = NAMES.index("distal_reach")
     assert subject.factors_ln[reach] < np.log(0.3)
     assert (np.abs(np.delete(off, reach)) < 3.5).all(), dict(zip(NAMES, off.round(2), strict=True))
-    # The two that the recordings show best are known far better than before.
+    # The two that the recordings identify best are far better than their priors.
     known = subject.factor_table()
     assert known["vein_stiffness"]["informed"]
     assert known["capillary_stiffness"]["informed"]
@@ -160,7 +160,7 @@ def test_a_press_without_a_recorded_touch_nearby_has_no_latency() -> None:
 
 
 def test_gaps_of_a_recorded_force_are_no_touches() -> None:
-    """Expected: latencies of a force that is known in every other sample as of one that is known in all."""
+    """Expected: latencies of a force that is measured in every other sample as of one that is measured in all."""
     time_s = np.arange(0.0, 12.0, 0.02)
     known_n = np.interp(time_s, [2.0, 4.0, 6.0, 8.0], [0.0, 1.0, 1.0, 0.0])
     estimated_n, gaps = np.interp(time_s - 0.1, time_s, known_n), np.where(np.arange(time_s.size) % 2, np.nan, known_n)
@@ -185,7 +185,7 @@ def test_factors_at_a_bound_of_the_search_are_a_warning() -> None:
     subject = parse_subject(made_sensor.subject())
     recordings = [made_sensor.record(made_sensor.cycle(1.5), site, seed=1) for site in ("proximal", "distal")]
     assert not [text for text in _warnings(subject, recordings) if "bound" in text]
-    # There may be no creep, and no reach of a distal pressure: their lower bounds say nothing.
+    # There may be no creep, and no reach of a distal pressure: their lower bounds are no warning.
     most_ln = FARTHEST_SPREADS * SPREAD_LN * np.where(np.isin(NAMES, ["contact_area"]), 1.0, -1.0)
     for names, bounded in (
         (["creep", "distal_reach"], ""),
@@ -249,7 +249,7 @@ def test_a_prediction_reports_how_wide_its_intervals_of_touches_are(subject: Sub
     assert summary["half_width_n"] == np.median(half_n) < 0.3
     assert summary["touch_rms_n"] > summary["rms_n"] and 0.8 < summary["touch_coverage_95"] <= 1.0
     assert not any("upper bound" in one for one in summary["warnings"])
-    # Of touches past closure: all are covered, by intervals that say nothing.
+    # Of touches past closure: all are covered, by uninformative intervals.
     open_above = prediction_summary(predict(subject, _record(table, _cycle(4.0), "proximal", seed=9)))
     assert open_above["half_width_n"] == np.inf
     assert any("have no upper bound" in one for one in open_above["warnings"])
@@ -293,7 +293,7 @@ def test_a_touch_that_is_let_go_past_closure_leaves_nothing_behind(site: str) ->
 
 
 def test_how_well_readings_fit_is_alike_at_any_rate() -> None:
-    """Rationale: a threshold means the same at any rate if what is judged does. Expected: of the same readings, which
+    """Rationale: a threshold means the same at any rate if its statistic does. Expected: of the same readings, which
     move 10 % unlike the model's, at 50 and 12.5 Hz."""
     recorded = made_sensor.record(made_sensor.cycle(0.6), "distal", seed=4)
     rest_v, unlike = recorded.volts[:, :50].mean(1, keepdims=True), np.array([0.9, 1.1] * 4)[:, None]
@@ -304,7 +304,7 @@ def test_how_well_readings_fit_is_alike_at_any_rate() -> None:
 
 
 def test_noise_counts_by_time_and_not_by_samples() -> None:
-    """Rationale: what readings do at rest that no model knows goes on for longer than a sample; four times as many of
+    """Rationale: unmodelled changes of readings at rest last for longer than a sample; four times as many of
     these do not show it twice as well. Expected: from 25 Hz on a variance of so much in a time."""
     subject = parse_subject(made_sensor.subject())
     rest_v = subject.readings.offset_v + subject.rest_v
@@ -317,7 +317,7 @@ def test_model_errors_while_the_blood_moves_are_no_outliers() -> None:
     time_s = np.arange(0.0, 8.0, made_sensor.STEP_S)
     force = np.interp(time_s, [0.0, 1.0, 1.16, 3.0, 3.16, 5.0, 5.16, 7.0, 7.16], [0, 0, 0.5, 0.5, 0, 0, 1.5, 1.5, 0])
     recorded = made_sensor.record(force, "proximal", seed=4)
-    # What no blood of two zones does: neighbours are off in opposite ways, and come back.
+    # What no blood of two zones does: neighbours deviate in opposite ways, and come back.
     lagging = np.exp(-np.arange(time_s.size) * made_sensor.STEP_S / READING_CORRELATION_S)
     moved = np.array([np.convolve(row, lagging)[: row.size] for row in np.diff(recorded.volts, prepend=0.5, axis=1)])
     moved[:, time_s < 1.0] = 0.0
@@ -372,7 +372,7 @@ def test_a_filter_that_ran_away_starts_anew_and_its_readings_are_flagged(subject
     fresh, kalman = (KalmanFilter(subject) for _ in range(2))
     for volts in recorded.volts.T[:150]:
         kalman.update_sample(volts, STEP_S)
-    # Past closure a soft vein is hardly known: the filter goes on nonetheless.
+    # Past closure a soft vein is hardly identified: the filter goes on nonetheless.
     kalman.covariance[2, 2] = 2.0**2
     kalman.predict(STEP_S)
     assert (kalman.state[DIAMETERS] != 1.0).all()

@@ -17,7 +17,7 @@ PERSON, RATE_HZ = "person_4", 20.0
 
 
 def calibration():
-    """The protocol of touches on either side, as a user is asked to record it."""
+    """The protocol of touches on either side, as a user has to record it."""
     person = load_person(PERSON)
     return [record_touch(person, untraced(person), protocol_of(person, 0, rate_hz=RATE_HZ), seed=0)]
 

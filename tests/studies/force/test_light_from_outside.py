@@ -28,7 +28,7 @@ LAMP_A = 1e-7 * np.array([4.6, 4.3, 4.3, 4.5, 4.7, 4.9, 5.1, 5.4])
 
 @pytest.fixture(autouse=True)
 def _untraced_lamp(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Photocurrents go with the illuminance."""
+    """Photocurrents are proportional to the illuminance."""
 
     def trace_ambient(scene: Scene, sources: tuple[Ambient], *_: object, **__: object) -> np.ndarray:
         current_a = LAMP_A * (sources[0].illuminance_lux or 0.0) / 1e3

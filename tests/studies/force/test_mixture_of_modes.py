@@ -10,7 +10,7 @@ from nailoptics.studies.force.kalman import OUTLIER_GATE, KalmanFilter
 
 
 def test_modes_are_weighted_by_their_likelihood_and_merged_by_their_moments() -> None:
-    """Expected: of two modes that differ in how well the touch is known, the moments of their posteriors' mixture."""
+    """Expected: of two modes that differ in the touch's covariance, the moments of their posteriors' mixture."""
     rng = np.random.default_rng(3)
     slopes, root = rng.normal(size=(4, 6)), rng.normal(size=(6, 6))
     usual = 1e-3 * (np.eye(6) + 0.1 * root @ root.T)

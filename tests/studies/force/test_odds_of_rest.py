@@ -1,4 +1,4 @@
-"""How likely a finger rests, from what is known of its touch."""
+"""The probability that a finger rests, from the estimate of its touch."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from nailoptics.studies.force.kalman import TOUCH_RANGE_N_PER_CM2, rest_odds
 
 
 def test_the_probability_of_rest_follows_from_the_readings() -> None:
-    """Expected: the odds of Bayes' rule for rest and for any touch within reach, likewise likely beforehand."""
+    """Expected: the odds of Bayes' rule for rest and for any touch within reach, with equal priors."""
     covariance = np.diag([0.03**2, 0.02**2])
 
     def likelihood(measured: np.ndarray, touch: np.ndarray) -> np.ndarray:

@@ -30,7 +30,7 @@ def risen_v(one: Subject, pressure: np.ndarray) -> np.ndarray:
 
 
 def other(one: Subject, off: np.ndarray) -> Subject:
-    """The calibration that is off by this much."""
+    """The calibration with this error."""
     gain = one.readings.gain
     factors_ln, off_gain, offset_v, *slopes = np.split(off, len(NAMES) + len(gain) * np.arange(LINEAR))
     light = one.light.steeper(np.stack(slopes, axis=1) / gain[:, None], float(one.person.rest_blood))
@@ -40,9 +40,9 @@ def other(one: Subject, off: np.ndarray) -> Subject:
 
 @pytest.mark.parametrize("side", [0, pytest.param(1, marks=pytest.mark.long)])
 def test_an_interval_includes_the_uncertainty_of_the_calibration(subject: Subject, side: int) -> None:
-    """Rationale: stiffness, area and how strongly readings fall with blood are hardly known each by itself: one makes
-    up for another; the force is known. Expected: readings of a held touch, estimated with calibrations off along every
-    direction of the covariance, spread as the interval says.
+    """Rationale: stiffness, area and how strongly readings fall with blood are hardly identified each by itself: one
+    compensates for another; the force is resolved. Expected: readings of a held touch, estimated with calibrations in
+    error along every direction of the covariance, scatter as the interval has it.
     """
     held = np.zeros(2)
     held[side] = PARTS[3] * subject.person.closure_n_per_cm2()[side]

@@ -1,4 +1,4 @@
-"""How a person's pulp gives way: estimated by calibration where the scene does not state it."""
+"""The creep of a person's pulp: estimated by calibration where the scene does not state it."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""How likely a touch is of the proximal side, of the distal one, or of both."""
+"""The probability that a touch is of the proximal side, of the distal one, or of both."""
 
 from dataclasses import replace
 from functools import cache
@@ -15,7 +15,7 @@ from nailoptics.studies.force.subject import Subject, parse_subject, subject_tom
 
 
 def test_stated_probabilities_are_calibrated() -> None:
-    """Expected: of shares that were drawn as stated, those of some stated probability are as often of that side."""
+    """Expected: of shares that were drawn as stated, the sides' frequencies are the stated probabilities."""
     rng, count, error = np.random.default_rng(1), 200_000, np.array([0.15, 0.3])
     site = rng.integers(3, size=count)
     true = np.select([site == 0, site == 1], [1.0, 0.0], rng.uniform(*BOTH_SHARES, count))
@@ -45,12 +45,12 @@ def test_the_side_of_a_touch_is_the_likeliest(site: str) -> None:
     assert probabilities.sum(0) == pytest.approx(np.ones(estimated.sizes["time"]))
     likeliest = names[int(np.argmax(probabilities[:, estimated.known_force_n.values >= 0.3].mean(1)))]
     assert likeliest == f"probability_{'both' if site == 'even' else site}"
-    # Where nothing touches, no side is touched more likely than another.
+    # Where nothing touches, no side is more probable than another.
     assert probabilities[:, :50].mean(1) == pytest.approx(np.full(3, 1 / 3), abs=0.01)
 
 
 def test_touches_of_both_sides_are_estimated_though_none_was_calibrated() -> None:
-    """Expected: a tenth of the largest force, where members of one-sided touches alone err by two thirds."""
+    """Expected: a tenth of the largest force, where members of one-sided touches alone have errors of two thirds."""
     recording = made_sensor.record(0.9 * made_sensor.touches(), "even", seed=7)
     estimated, known_n = predict(subject(), recording), np.asarray(recording.force_n)
     touched = known_n >= 0.15

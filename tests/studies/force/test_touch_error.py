@@ -50,7 +50,7 @@ def test_the_recursion_is_least_squares_over_all_samples(scene: Scene) -> None:
     size, samples, drift = states + count, len(short._steps), short.noise.drift_covariance(LED)
     first = np.zeros((size, size))
     first[:states, :states], first[states:, states:] = short._initial, drift
-    # Of the states of all samples: covariance in the filter's model and in truth, and what the touches make of them.
+    # Of the states of all samples: covariance in the filter's model, the true one, and the effect of the touches.
     model, truth, made = np.zeros((samples, size) * 2), np.zeros((samples, size) * 2), np.zeros((samples, size))
     before, true_before, mean = first, first, np.zeros(size)
     for k, step in enumerate(short._steps):
@@ -113,7 +113,7 @@ def test_variances_stay_above_zero_on_a_finger_that_moves_much(scene: Scene, mon
 
 
 def test_better_readings_reduce_the_error_down_to_the_physiological_noise_floor(touches: TouchError) -> None:
-    """Expected: more noise errs more, more contrast beside the same drift less, never less than the floor, which
+    """Expected: more noise gives more error, more contrast beside the same drift less, never below the floor, which
     contrast without end comes near; several layouts at once are as one by one."""
     at_once = touches.rms_n(np.stack([SLOPES, 4 * SLOPES, SLOPES]), np.stack([NOISE, NOISE, 100 * NOISE]), LED)
     usual, contrast, noisy = (
@@ -160,7 +160,7 @@ def test_the_bodys_noise_is_that_of_its_waves_and_motion(scene: Scene, touches: 
 def test_waves_that_the_scene_states_are_the_filters_wherever_they_lie(
     touches: TouchError, body: dict[str, Any], frequency_hz: float, rms_pa: float
 ) -> None:
-    """Bands tell waves of recordings apart, in which none is known; beyond them others were dropped."""
+    """Bands separate waves of recordings, in which none is given; beyond them others were dropped."""
     (wave,) = scene_noise(Body(**body), touches.person).waves
     assert (wave.frequency_hz, wave.rms_pa) == pytest.approx((frequency_hz, rms_pa), rel=1e-3)
 
@@ -211,10 +211,10 @@ def test_the_rms_error_of_predict_over_touches_is_the_computed_one(
     ratio: tuple[float, float],
 ) -> None:
     """Rationale: eight bodies wear the prototype's board, with the paper's photodiodes, with them farther from the LED,
-    with two of these, and with photodiodes spread over the arrays, and make the touches; who wears it is known exactly,
+    with two of these, and with photodiodes spread over the arrays, and make the touches; the wearer is given exactly,
     as by a calibration without error.
     Expected: the rms error of `predict` over the touches is within a factor of 1.3 of the computed one, but for the
-    spread ones, as docs/placing.md says; eight records know it to some 15 %.
+    spread ones, as docs/placing.md states; eight records determine it to some 15 %.
     """
     sensor = worn(scene, v_mm, wired)
     touches, table, error2 = TouchError(sensor, 0.5), open_table(sensor, photons=1_000_000)[1], []

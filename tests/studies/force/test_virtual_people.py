@@ -1,4 +1,4 @@
-"""Virtual people: recorded as said, alike for one seed, and estimated by a model that is not theirs."""
+"""Virtual people: recorded as specified, the same for one seed, and estimated by a model that is not theirs."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What a scene models and leaves out: which effects matter, and how sure that is."""
+"""What a scene models and leaves out: which effects matter, and with what significance."""
 
 import json
 import re
@@ -134,10 +134,10 @@ def test_a_difference_has_the_noise_of_the_photons_that_differ(jit_backend):
     away = difference(base, independent)
     assert (difference(base, bone).reading.stderr < 0.7 * away.reading.stderr).all()
     assert (difference(base, skin).reading.stderr > 0.1 * UNDETECTED * base.relative_stderr**2).all()
-    # No photon met the epidermis: melanin changes nothing that was seen, and that is not a change of nothing.
+    # No photon met the epidermis: melanin changes no detected light, which is not a change of zero.
     pale = difference(base, reweighted(base, revised(whole(), {"finger": {"melanin_fraction": 0.0}})))
     assert (pale.reading.stderr >= 0.99 * UNDETECTED * base.relative_stderr**2)[pale.reading.value == 0].all()
-    # The same scene twice: nothing but noise, as large as is said.
+    # The same scene twice: nothing but noise, as large as reported.
     z = away.reading.value / away.reading.stderr
     assert np.abs(z).max() < 4 and 0.6 < np.sqrt(np.mean(z**2)) < 1.8
     same = difference(base, paired_readings(replace(base.transfer, traces=tuple(base.transfer.traces))))
@@ -148,8 +148,8 @@ def test_a_difference_has_the_noise_of_the_photons_that_differ(jit_backend):
 @pytest.mark.jit
 def test_effects_that_are_read_from_one_trace_have_calibrated_errors(chosen_jit):
     """Rationale: on a narrow nail a few photons cross the skin and carry all that melanin does; line width changes
-    every photon a little. Expected: over 20 seeds, 95 % intervals hold the value of sixty times the photons as often as
-    they should, as far as errors from a handful of photons can."""
+    every photon a little. Expected: over 20 seeds, 95 % intervals cover the value of sixty times the photons at
+    the nominal rate, as far as errors from a handful of photons can."""
     changes = {"finger": {"nail_width_mm": 4.0, "melanin_fraction": 0.4}}
     scene = revised(whole(), WHOLE | {"finger": WHOLE["finger"] | changes["finger"]})
     others = [revised(scene, {"finger": {"melanin_fraction": 0.0}}), revised(scene, ONE_WAVELENGTH)]
@@ -172,7 +172,7 @@ def test_effects_that_are_read_from_one_trace_have_calibrated_errors(chosen_jit)
     most = magnitude_bound_95(each[:, :, 0], np.hypot(each[:, :, 1], truth[:, 1]), each[:, :, 2])
     held = (most >= np.abs(truth[:, 0])).mean(axis=(0, 3, 4))
     assert (held > 0.9).all(), held
-    # Errors that were far too large would say nothing: these are what the values scatter by.
+    # Far too large errors would pass unnoticed: these are what the values scatter by.
     assert (np.sqrt((z**2).mean(axis=(0, 3, 4))) > 0.7).all()
     for k, one in enumerate(exact[1]):
         assert_printed([(base, every[k]) for base, every in seeds], one)
@@ -183,7 +183,7 @@ def test_effects_that_are_read_from_one_trace_have_calibrated_errors(chosen_jit)
 def test_effects_that_are_retraced_have_calibrated_errors(chosen_jit, monkeypatch):
     """Rationale: scenes traced with the same photons differ by those that do not share their way: a few percent where a
     part goes, all where the optics change. Expected: over 20 seeds, 95 % intervals of every photodiode, and of their
-    weighted mean, hold the value of twenty times the photons as often as they say; so do those of what is derived from
+    weighted mean, cover the value of twenty times the photons at that rate; so do those of what is derived from
     such traces, blood's scattering and light from outside."""
     others = [revised(whole(), {"light": {"left_out": ["bone"]}}), revised(whole(), {"light": {"index_steps": False}})]
     others.append(revised(whole(), {"finger": {"bed_scattering": SCATTERING_FACTOR}}))
@@ -282,7 +282,7 @@ def test_scattering_of_blood_is_evaluated_by_the_signal(paths_mm):
 
 
 def test_what_moves_no_reading_by_the_tolerance_is_evaluated_by_the_signal():
-    """Expected: 0.1 % of a reading but 30 % of the signal matters; beyond the tolerance the reading judges, and where
+    """Expected: 0.1 % of a reading but 30 % of the signal matters; beyond the tolerance the reading decides, and where
     a touch moves no blood."""
     usual = revised(prototype(), ONE_WAVELENGTH)
     base, still = (synthetic(one, (4.0, 0.0), 1.0) for one in (usual, revised(usual, {"touch": {"force_n": 0.0}})))

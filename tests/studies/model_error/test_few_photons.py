@@ -1,4 +1,4 @@
-"""Errors and bounds of differences that few photons carry: photons drawn by hand, so that the truth is known."""
+"""Errors and bounds of differences that few photons carry: synthetic photons, of known truth."""
 
 from types import SimpleNamespace
 from typing import cast
@@ -23,7 +23,7 @@ PHOTONS, DIODES = 20_000, 200
 def drawn(draw: np.random.Generator, *, arrive: float, carry: float, depth: float) -> Difference:
     """Photons of as many alike photodiodes: weights of exponential paths, some of which lose a part by a depth.
 
-    arrive : how many of the photons a photodiode sees; carry : how many of these lose something.
+    arrive : how many of the photons a photodiode detects; carry : how many of these lose something.
     depth : mean of the exponential optical depth that they lose; inf where they are lost whole.
     """
     count = draw.poisson(arrive, DIODES)
@@ -50,8 +50,8 @@ def drawn(draw: np.random.Generator, *, arrive: float, carry: float, depth: floa
     ],
 )
 def test_errors_and_bounds_of_what_few_photons_carry(arrive, carry, depth):
-    """Rationale: of some three carriers the error is seen as badly as the value is. Expected: of 2000 photodiodes,
-    intervals hold the truth about as often as they say, bounds, which are one-sided, more often; and the error is what
+    """Rationale: of some three carriers the error is estimated as badly as the value. Expected: of 2000 photodiodes,
+    intervals have about their nominal coverage, bounds, which are one-sided, more; and the error is what
     the values scatter by where ten photons carry the change, at most twice that where three do."""
     draw, truth = np.random.default_rng(6), -carry * (depth / (1 + depth) if np.isfinite(depth) else 1.0)
     result = [drawn(draw, arrive=arrive, carry=carry, depth=depth) for _ in range(10)]
@@ -69,7 +69,7 @@ def test_errors_and_bounds_of_what_few_photons_carry(arrive, carry, depth):
 
 
 def test_the_bound_of_a_count_is_the_exact_one():
-    """Expected: with the term for one that was not seen, the upper limit of 95 % of a Poisson count within half of
+    """Expected: with the term for one that was not detected, the upper limit of 95 % of a Poisson count within half of
     one, from 1 on; of none, 3, which is the limit of one side (Garwood 1936, Biometrika 28, 437)."""
     counts = np.array([1, 2, 3, 5, 10, 30, 100, 1000, 10_000])
     exact = chi2.ppf(0.975, 2 * (counts + 1)) / 2
@@ -83,8 +83,8 @@ def test_the_bound_of_a_count_is_the_exact_one():
 
 
 def test_the_next_photon_is_like_the_others_the_more_of_them_there_are():
-    """Expected: lost whole where nothing is known, as the others in the mean where much is, and between these the mean
-    of draws of a depth whose scale is known from so few only."""
+    """Expected: lost whole without data, as the others in the mean with many, and between these the mean of draws of
+    a depth whose scale is estimated from so few only."""
     assert _expected_next_fraction(np.array([0.0]), np.array([0.0])) == 1
     assert _expected_next_fraction(np.array([1e4]), np.array([1e-3])) == pytest.approx(1e-3, rel=1e-3)
     draw = np.random.default_rng(1)

@@ -29,7 +29,7 @@ def traced(chosen_jit, scene) -> list[PairedReadings]:
 
 
 def pull(values: np.ndarray, errors: np.ndarray) -> float:
-    """Root mean square of distances from the mean over the seeds, in standard errors; 1 where these are true."""
+    """Root mean square of distances from the mean over the seeds, in standard errors; 1 where these are calibrated."""
     away = (values - values.mean(0)) / errors * np.sqrt(len(values) / (len(values) - 1))
     return float(np.sqrt(np.mean(away**2)))
 

@@ -1,4 +1,4 @@
-"""What tradeoff says keeps a tolerance does so out of sample, on scenes that differ."""
+"""Levels that tradeoff reports within a tolerance keep it out of sample, on scenes that differ."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from nailoptics.studies.model_error.tradeoff import FULL, REFERENCE, Level, Trad
 
 pytestmark = [pytest.mark.slow, pytest.mark.jit]
 PHOTONS = 120_000
-# Of the levels that are named at any of these, and of all that are proven at what a designer asks for.
+# Of the levels that are named at any of these, and of all that are proven at a designer's targets.
 TOLERANCES, TARGETS = (0.5, 0.2, 0.1, 0.05, 0.02), (0.05, 0.02)
 SCENES: dict[str, tuple[str, Changes]] = {
     "prototype": ("prototype", {}),
@@ -28,7 +28,7 @@ SCENES: dict[str, tuple[str, Changes]] = {
 
 
 def within(result: Tradeoff) -> dict[str, list[float]]:
-    """Levels of which something is said that photons could refute, and the tolerances that they keep."""
+    """Levels with a claim that photons could refute, and the tolerances that they keep."""
     out: dict[str, set[float]] = {}
     for tolerance in TOLERANCES:
         level = fastest(result.levels, tolerance)
@@ -56,9 +56,9 @@ def studied(chosen_jit, request) -> tuple[str, Scene, Tradeoff]:
 
 
 def test_a_tolerance_holds_with_other_seeds_and_ten_times_the_photons(studied):
-    """Rationale: the bias of a level is bounded with few photons; the bound must hold for photons it has not seen.
+    """Rationale: the bias of a level is bounded with few photons; the bound must hold for independent photons.
     Expected: no photodiode's bias exceeds the tolerance by more than three standard errors, which are smaller; and a
-    reading of the full model to the error that was named for 5 and 2 %, of another seed, is off by no more."""
+    reading of the full model to the error that was named for 5 and 2 %, of another seed, has no larger error."""
     name, scene, result = studied
     tracer = paired.PairedTracer(9, TraceOptions(photons=10 * PHOTONS, seed=1001), None)
     base = tracer.trace(revised(scene, FULL))

@@ -154,7 +154,7 @@ def test_the_chosen_level_is_within_the_tolerance(computed):
 @pytest.mark.jit
 def test_blood_levels_move_the_signal_alone(computed):
     """Expected: a looser tolerance moves it by less than 0.2 %; samples that miss the step, and eight zones, on which
-    the distal pressure acts otherwise, by tens of percent."""
+    the distal pressure acts differently, by tens of percent."""
     by_name = {one.name: one for one in computed.levels}
     full = by_name[REFERENCE]
     assert 0 < by_name["vessels to 1e-3"].signal.bound < 2e-3 and by_name["vessels to 1e-3"].call

@@ -1,4 +1,4 @@
-"""What is unknown of the finger in explain's table: which end of a range, how it is read, and what it leaves alone."""
+"""Priors of the finger in explain's table: which end of a range, how it is read, and what it leaves alone."""
 
 import pytest
 

@@ -57,8 +57,8 @@ def test_photons_that_never_meet_the_bone_are_the_same_without_it(whole, boneles
 
 @pytest.mark.long
 def test_standard_errors_of_a_mean_over_photodiodes_are_calibrated(chosen_jit):
-    """Rationale: copies of one photon that reach several photodiodes err alike. Expected: over 24 seeds the mean change
-    by the bone scatters as its error says, which a sum of squares over the photodiodes would not be."""
+    """Rationale: copies of one photon at several photodiodes have correlated errors. Expected: over 24 seeds the mean
+    change by the bone scatters by its standard error, which a sum of squares over the photodiodes would not be."""
     means, errors, sums = [], [], []
     for seed in range(100, 124):
         base, other = (
@@ -70,7 +70,7 @@ def test_standard_errors_of_a_mean_over_photodiodes_are_calibrated(chosen_jit):
         means.append(change.value.mean())
         errors.append(np.sqrt(change.covariance.mean()))
         sums.append(np.linalg.norm(weight * change.stderr))
-    # Of 24 values the scatter is known to a seventh.
+    # Of 24 values the scatter is estimated to a seventh.
     assert 0.7 < np.std(means, ddof=1) / np.sqrt(np.mean(np.square(errors))) < 1.4
     assert np.mean(errors) > 1.1 * np.mean(sums)
 

@@ -111,7 +111,7 @@ def test_the_command_writes_and_prints_its_results(computed, undrawn, monkeypatc
 def test_the_pulse_dims_infrared_more_than_red(computed):
     index = computed.perfusion_index
     assert np.all(index.sel(led="infrared") > index.sel(led="red"))
-    # Far photodiodes see deeper, where the blood is.
+    # Far photodiodes sample deeper tissue, where the blood is.
     assert np.all(np.diff(index.values, axis=-1) > 0)
     least = computed.volts_pulse.argmin("beat_time")
     assert np.all(abs(least - least[0, 0]) <= 1)
@@ -119,7 +119,7 @@ def test_the_pulse_dims_infrared_more_than_red(computed):
 
 @pytest.mark.long
 def test_a_disturbance_biases_spo2_as_the_ratio_of_the_changed_scene(light, computed):
-    """Expected: at the end of each curve what the calibrated curve makes of R read anew, and of R diluted by sunlight;
+    """Expected: at the end of each curve the calibrated curve's SpO2 of R read again, and of R diluted by sunlight;
     nothing where the scene is as it was calibrated."""
     scene, so2 = light.scene, light.scene.blood.so2
     beat, (red, infrared) = rest_beat(scene), scene.leds
@@ -165,7 +165,7 @@ def test_interpolated_saturations_agree_with_those_read_directly(light):
 
 @pytest.mark.long
 def test_the_error_of_r_is_that_of_other_seeds(light):
-    """Expected: R of eight traces, of three photodiodes each, scatters as their errors say, within a factor of 1.4."""
+    """Expected: R of eight traces, of three photodiodes each, scatters by its standard errors to a factor of 1.4."""
     beat, values, errors = beat_at(shipped(), 0.0), [], []
     for seed in range(8):
         other = trace(shipped(), photons=1 << 14, seed=100 + seed)
@@ -178,7 +178,7 @@ def test_the_error_of_r_is_that_of_other_seeds(light):
 @pytest.mark.slow
 def test_r_is_that_of_fresh_traces_with_less_and_more_blood(chosen_jit):
     """Rationale: one trace gives R at any saturation by reweighting; a finite difference of fresh traces, each of its
-    own blood, knows nothing of that. Both traces of a pair take the same random numbers, so that their difference is
+    own blood, is independent of that. Both traces of a pair take the same random numbers, so that their difference is
     sharp, and pairs of other seeds give its error. Expected: agreement within three standard errors, which are below
     7 % of R (measured 2 to 4 % with twice as many photons)."""
     so2, low, high, pairs = 0.6, 0.02, 0.04, 8
@@ -206,7 +206,7 @@ def test_r_is_that_of_fresh_traces_with_less_and_more_blood(chosen_jit):
 
 @pytest.mark.long
 def test_the_saturation_is_recovered_from_a_recording_of_the_scene(light, computed, without_curves):
-    """Expected: at saturations that the calibration has not seen, within the noise of the slots, as the light is one,
+    """Expected: at held-out saturations, within the noise of the slots, as the light is one,
     until the touch after 20 s, which is marked."""
     for so2 in (0.80, 0.93):
         scene = shipped().model_copy(update={"blood": shipped().blood.with_so2(so2)})
@@ -222,7 +222,7 @@ def test_the_saturation_is_recovered_from_a_recording_of_the_scene(light, comput
 
 @pytest.mark.long
 def test_the_error_of_r_is_what_stops_the_trace(chosen_jit, without_curves, monkeypatch):
-    """Expected: one more round than that of so few photons, and no more light than the photodiode known best needs."""
+    """Expected: one more round than that of so few photons, and no more light than the best photodiode needs."""
     monkeypatch.setattr(ratio, "FIRST_PHOTONS", 1 << 12)
     largest = []
     for seed in (1, 2):
@@ -236,8 +236,8 @@ def test_the_error_of_r_is_what_stops_the_trace(chosen_jit, without_curves, monk
 
 @pytest.mark.long
 def test_two_dies_along_the_nail_are_warned_of(light, without_curves):
-    """Rationale: dies 2 mm apart along the nail see other beds. Expected: a warning that names the photodiode and
-    what would mend it."""
+    """Rationale: dies 2 mm apart along the nail sample other beds. Expected: a warning that names the photodiode and
+    the advice."""
     scene = shipped()
     places = ((-1.2, -1.0), (-1.2, 1.0))
     leds = tuple(led.model_copy(update={"position_mm": p}) for led, p in zip(scene.leds, places, strict=True))

@@ -19,7 +19,7 @@ from nailoptics.variables import variable
 SCENE = load_scene(data_dir("scenes") / "pulse_oximeter.toml")
 NAMES = ("axis.1", "axis.3")
 SO2 = np.linspace(0.5, 1.0, 51)
-# The line measured on fingers, and one of longer red paths; each known within 1 %.
+# The line measured on fingers, and one of longer red paths; each with an uncertainty of 1 %.
 RATIO = np.stack([(110.9 - 100 * SO2) / 33.2, (110.9 - 100 * SO2) / 28.0])
 CALIBRATION = xr.Dataset(
     variable("ratio", ("photodiode", "so2"), RATIO, "ratio of ratios", stderr=0.01 * RATIO),
@@ -31,7 +31,7 @@ LEVEL_V = np.array([[1.1, 0.5], [1.8, 0.9]])
 def recorded(
     so2: float, *, seed: int, seconds: float = 40.0, noise: float = 1e-4, index: float = 2e-3, moved: bool = False
 ) -> OximeterRecording:
-    """A recording of a person whose curves are off KNOWN by what its error says."""
+    """A recording of a person whose curves differ from CALIBRATION by its standard error."""
     rng, time_s = np.random.default_rng(seed), np.arange(0.0, seconds, 0.01)
     pulse = cardiac_pressure(
         time_s, rate_per_min=72.0, rate_variability=0.05, mean_pressure_pa=0.0, pulse_pressure_pa=1.0, seed=seed
@@ -49,7 +49,7 @@ def recorded(
 @pytest.mark.parametrize("noise", [0.1, 0.4])
 def test_the_error_of_a_slope_is_its_scatter_where_both_have_noise(noise):
     """A pulse of variance 1/2 in 60 values, red over infrared 0.6, each with noise of its own: 12 000 recordings, by
-    which the scatter is known to 1 %, and the middle to 0.0002 and 0.0011."""
+    which the scatter is estimated to 1 %, and the middle to 0.0002 and 0.0011."""
     rng, pulse, ratio = np.random.default_rng(2), np.sin(np.arange(60)), 0.6
     variance = np.array([(2 * noise) ** 2, noise**2])
     slopes, errors = np.transpose(
@@ -82,8 +82,8 @@ def test_the_error_of_a_slow_recordings_ratio_is_its_scatter():
 
 def test_noise_of_a_dark_slot_does_not_bias_the_saturation():
     """Rationale: one dark reading is taken from red and infrared, whose noises are then correlated. Expected: 90 %
-    within 1 % in the mean of 40 recordings, which scatters by 0.2 %, on both photodiodes, where taken for independent
-    they give 87 and 81 %."""
+    within 1 % in the mean of 40 recordings, which scatters by 0.2 %, on both photodiodes, where independence
+    would give 87 and 81 %."""
     estimates = []
     for seed in range(40):
         made, drawn = recorded(0.9, seed=seed, noise=2.4e-4), np.random.default_rng(100 + seed)
@@ -96,9 +96,9 @@ def test_noise_of_a_dark_slot_does_not_bias_the_saturation():
 @pytest.mark.parametrize("noise", [3e-5, 2e-4])
 def test_the_interval_covers_the_truth_in_95_of_100_recordings(noise):
     """Rationale: noise of the readings and the error of the curve are both in the interval; each recording has its own
-    of both. Expected: at least 90 % of 150 recordings at saturations from 0.72 to 0.98, seen in one window of each, on
-    both photodiodes, and errors of the size that is stated, which 300 tell to 5 %: by twice as wide intervals as would
-    do, they would be half."""
+    of both. Expected: at least 90 % of 150 recordings at saturations from 0.72 to 0.98, read in one window of each, on
+    both photodiodes, and errors of the size that is stated, which 300 resolve to 5 %: with intervals twice too wide
+    they would be half."""
     inside, relative = [], []
     for seed in range(150):
         so2 = 0.72 + 0.26 * seed / 149
@@ -155,7 +155,7 @@ def test_motion_is_marked_where_it_was_and_nowhere_else():
     assert np.all(moved.motion.where(with_it, drop=True) > 0.1)
     assert np.all(moved.motion.where(abs(moved.time - 18.5) > 6.5, drop=True) < 0.05)
     assert float(still.motion.max()) < 0.05
-    # What is estimated from the still part of a window is as true.
+    # What is estimated from the still part of a window is as accurate.
     assert np.nanmax(abs(moved.spo2 - still.spo2)) < 2.0
 
 

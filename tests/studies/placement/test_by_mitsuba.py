@@ -1,4 +1,4 @@
-"""The best layout read by stock Mitsuba: it agrees with the photons engine, and sees what is wrong."""
+"""The best layout read by stock Mitsuba: it agrees with the photons engine, and detects what is wrong."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ def test_stock_mitsuba_agrees_and_detects_a_wrong_layout_and_medium(jit_backend,
     """Expected: all within 4 standard errors; with the LED 0.5 mm further away, or ten times the blood, beyond 4.
 
     Batches that are traced once serve all three. A tenth of the light on these photodiodes comes through their sides.
-    Few paths see neither, but a reading by another geometry, unit or photodiode.
+    Few paths resolve neither, but a reading by another geometry, unit or photodiode.
     """
     monkeypatch.setattr(verification, "MITSUBA_PATHS", paths)
     few = paths < 1 << 17
@@ -64,7 +64,7 @@ def test_stock_mitsuba_agrees_and_detects_a_wrong_layout_and_medium(jit_backend,
 
 
 def readings(scene, factor, *, interrupted=False):
-    """What stock Mitsuba may say of light of 1e-3 on each photodiode."""
+    """What stock Mitsuba may report of light of 1e-3 on each photodiode."""
     count = len(scene.layout.photodiode_names)
     fraction, one = np.full((count, 1), factor * 1e-3), np.ones((count, 1))
     return [StateReadings(fraction, 0.02 * fraction, one, 0 * one, 1 << 20, None, interrupted)]

@@ -91,7 +91,7 @@ def test_a_tangent_lies_below_the_score_of_every_design(rank_by):
 @pytest.mark.long
 def test_the_best_layout_is_set_beside_the_bound(chosen_jit, fewer_photons, untraced_tolerances, tmp_path):
     """Expected: by other photons the search's best lies above the bound within the error of both, and page, terminal
-    and summary say by how much."""
+    and summary report by how much."""
     rules = 'photodiodes = 4\nphotodiode_step_mm = 0.5\nfixed = ["ir"]\n'
     requested = parse_scene(PLACEMENT[: PLACEMENT.index("[placement]")] + f"[placement]\n{rules}")
     with fewer_photons():

@@ -41,7 +41,7 @@ def made_once(chosen_jit):
     patch = pytest.MonkeyPatch()
     patch.setattr(BoardTracer, "batch_photons", BATCH)
     patch.setattr(finger_walk, "built", lru_cache(maxsize=4)(finger_walk.built.__wrapped__))
-    # The closer look at the best has its own test.
+    # The verification of the best has its own test.
     patch.setattr(place, "verify_layout", lambda *_, **__: xr.Dataset())
     yield
     patch.undo()
@@ -61,7 +61,7 @@ def above_the_body(computed: list[xr.Dataset], name: str) -> np.ndarray:
 
 @pytest.mark.parametrize("name", ["force_resolution", "electronics_resolution", "finger_electronics_resolution"])
 def test_errors_of_resolutions(computed, name):
-    """Rationale: the information here is known to a half. Noise that makes it seem large makes value and error small
+    """Rationale: the information here has an error of a half. Noise that makes it large makes value and error small
     together, so that they compare in the logarithm alone, as the ends of intervals do.
     Expected: what other seeds scatter by, within the 50 % that three times the chance of twenty seeds is.
     """
@@ -81,7 +81,7 @@ def test_ends_of_intervals(computed, name):
 
 
 def test_estimates_from_few_photons_are_reported_as_rough(computed):
-    """Expected: said with nearly every seed of what is known to a half, whatever luck does to the estimated error."""
+    """Expected: reported with nearly every seed at an error of a half, however the estimated error scatters."""
     assert sum("near" in rough_words(rows(one)) for one in computed) >= 17
 
 

@@ -1,4 +1,4 @@
-"""The Pareto front of a placement: the best photodiodes of each number by half of the light, judged by the other."""
+"""The Pareto front of a placement: the best photodiodes of each number by half of the light, evaluated by the other."""
 
 from dataclasses import replace
 from itertools import combinations

@@ -222,7 +222,7 @@ def test_a_package_higher_than_the_epoxy_and_a_lens_within_it_are_warned_of(coar
         "package of high is 3200 um high, and 450 um are between board and nail",
     ]
     assert {*lines} <= {*scene_check.check(both)["warnings"]} and not boards.misfits(scene)
-    # What is advised is done as it stands, and helps.
+    # The advice is followed literally, and helps.
     bare = Led.model_validate(table | lens | {"pattern": "lambertian"})
     field, value = re.search(r"give board\.(\w+) = ([0-9.]+)$", lines[1]).groups()
     followed = both.with_(board={field: float(value)}).model_copy(update={"leds": (bare, leds[1])})

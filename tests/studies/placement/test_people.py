@@ -113,7 +113,7 @@ def test_who_cannot_wear_a_layout_resolves_nothing_with_it(evaluated, monkeypatc
     near, far = (score.force.fingers_n[0] for score in scores)
     assert near[3] < 0.2 and far[3] > 5 and (far[:3] < 0.5).all()
     assert scores[1].force.all_n[0] == far[3] and scores[0].force.all_n[0] == near[1:].max()
-    # Any few of what is unknown may be a reason; each takes a trace.
+    # Any few priors may be a reason; each takes a trace.
     monkeypatch.setattr(robustness.uncertainty, "known_priors", lambda scene: known_priors(scene)[::5])
     made = over_people(layouts, scores, cache)
     assert made.people_off.values.tolist() == [0, 1]

@@ -1,4 +1,4 @@
-"""Placement through the body's noise: known cases and limits of the arithmetic, and a placement that has a body."""
+"""Placement with physiological noise: exact cases and limits of the arithmetic, and a placement that has a body."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -72,12 +72,12 @@ def test_marginalising_the_waves_equals_a_covariance_of_the_readings():
     rng = np.random.default_rng(0)
     samples = rng.normal(size=(20_000, 6)) * np.sqrt(independent_v2) + rng.normal(size=(20_000, 3)) @ read.body_v.T
     fitted = np.linalg.solve(exact, read.slope_v_per_pa.T @ np.linalg.solve(covariance, samples.T))
-    # 20 000 samples know a standard deviation to 0.5 %; the pressures are known beforehand to 1e5 Pa.
+    # 20 000 samples determine a standard deviation to 0.5 %; the pressures' prior is 1e5 Pa.
     assert information.force_resolution_n(total, point) == pytest.approx((FORCE_PER_PA @ fitted).std(), rel=0.02)
 
 
 def test_the_budget_of_the_force_is_its_error_cause_by_cause():
-    """Rationale: what a cause makes of readings goes through the same estimate. Expected: squares add up to the force
+    """Rationale: a cause's effect on readings goes through the same estimate. Expected: squares add up to the force
     resolution, and each is the spread of forces fitted to readings with that cause alone."""
     body = PhysiologicalNoise(
         blood=3e-4 * np.array([[7.0, 1.0], [6.0, -2.0]]),
@@ -116,7 +116,7 @@ def test_the_budget_of_the_force_is_its_error_cause_by_cause():
         "drift": (4e-4 * normal(size=(samples, 2)) @ of_led.T + 5e-4 * normal(size=(samples, 12))) * light_v,
     }
     for cause, volts in alone.items():
-        # 20 000 samples know a standard deviation to 0.5 %.
+        # 20 000 samples determine a standard deviation to 0.5 %.
         assert (volts @ weights).std() == pytest.approx(budget[cause], rel=0.02), cause
     assert {*information.force_budget_n(by_led, _point(None))} == {*budget} - {"waves", "lift", "drift"}
 
@@ -143,7 +143,7 @@ def test_the_noise_budget_of_one_photodiode_includes_what_it_cannot_distinguish(
         )
     )
     layout, total, *rest = row.values()
-    # What is known beforehand of six photodiodes' waves is 2e-5 of them, less than the floor has.
+    # The prior of six photodiodes' waves is 2e-5 of them, less than the floor has.
     assert total == pytest.approx(total_n, rel=1e-4) and np.hypot.reduce(rest) == pytest.approx(total_n, rel=1e-4)
     assert (row["split"] > 0.99 * total_n) == (count == 1) and row["floor"] == floor_n
 
@@ -163,7 +163,7 @@ def test_a_body_that_becomes_still_leaves_the_electronics():
 
 
 def test_light_without_end_resolves_to_the_noise_floor_of_the_waves():
-    """The body's part is the same for all layouts that see both zones, and adds to the electronics' in squares."""
+    """The body's part is the same for all layouts that read both zones, and adds to the electronics' in squares."""
     point = _point(1e-4 * np.array([[7.0, 0.5], [6.0, 0.7]]))
     floor_n = information.physiological_noise_force_n(point)
     assert floor_n > 1e-3
@@ -293,7 +293,7 @@ def test_waves_faster_than_the_stage_are_left_out():
 
 
 def test_intervals_with_physiological_noise_have_their_nominal_coverage():
-    """Rationale: photon maps of known means in 32 noisy blocks, 600 times. Expected: 95 % intervals hold the resolution
+    """Rationale: photon maps of given mean in 32 noisy blocks, 600 times. Expected: 95 % intervals cover the resolution
     of the means in 90 to 98 % of them, and standard errors are the scatter, though most of the score is the body's.
     """
     scene = parse_scene(SCENE.replace("[body.heartbeat]", "[body.drift]\n[body.motion]\n[body.heartbeat]"))
@@ -311,7 +311,7 @@ def test_intervals_with_physiological_noise_have_their_nominal_coverage():
     true_n = float(scored(np.repeat(mean[None], 2, axis=0)).force.all_n[0])
     assert true_n < 1.1 * information.physiological_noise_force_n(point)
     rng = np.random.default_rng(4)
-    # Blocks of one photon map that scatter by 30 %, so that their mean is known to 5 %.
+    # Blocks of one photon map that scatter by 30 %, so that their mean has an error of 5 %.
     every = [scored(mean * (1 + 0.3 * rng.normal(size=(32, *mean.shape)))) for _ in range(600)]
     held = np.mean([one.force.interval_n[0] <= true_n <= one.force.interval_n[1] for one in every])
     assert 0.90 <= held <= 0.98, held
@@ -364,7 +364,7 @@ def test_a_placement_with_a_body_is_ranked_by_its_noise(computed):
         both = np.hypot(row["electronics_resolution_n"], floor_n)
         assert row["force_resolution_n"] == pytest.approx(both, rel=0.01)
         low, high = float(row["force_resolution_low_n"]), float(row["force_resolution_high_n"])
-        # Through a healthy nail the electronics add less than what is known of the pressures before any reading.
+        # Through a healthy nail the electronics add less than the prior of the pressures.
         assert 0.9995 * floor_n < row["force_resolution_n"] < 1.0005 * high and floor_n <= low <= high
         # The body's own part has no error: what is left is the electronics', as much less as it adds.
         share = row["electronics_resolution_n"] / row["force_resolution_n"]
@@ -403,7 +403,7 @@ def test_the_page_states_the_part_of_physiological_noise(computed, tmp_path):
 @pytest.mark.long
 def test_layouts_are_ranked_by_the_filters_error_over_touches(computed, fewer_photons):
     """Expected: with the same light, the filter's error is what ranks, with its interval, above what no layout changes;
-    the one-sample figure stays, and page and terminal say how much of the error depends on the layout."""
+    the one-sample figure stays, and page and terminal state how much of the error depends on the layout."""
     with fewer_photons():
         by_touches = place.place(
             quiet(SCENE.replace("[placement]", '[placement]\nrank_by = "force"')), photons=1 << 17, seed=2

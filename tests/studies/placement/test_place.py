@@ -78,7 +78,7 @@ def computed(chosen_jit, fewer_photons, scene):
 
 
 def test_resolution_is_the_error_of_a_least_squares_fit():
-    """Many noisy readings of known pressures, fitted: the force's spread is what the information says."""
+    """Many noisy readings of given pressures, fitted: the force's standard deviation is that of the information."""
     rng = np.random.default_rng(0)
     slope, noise = rng.normal(size=(5, 2)) * 1e-6, rng.uniform(1e-6, 3e-6, 5)
     read = information.Response(np.ones(5), noise**2, slope, slope, np.zeros(5))
@@ -86,7 +86,7 @@ def test_resolution_is_the_error_of_a_least_squares_fit():
     samples = rng.normal(size=(20000, 5)) * noise
     fitted = np.linalg.lstsq(slope / noise[:, None], (samples / noise).T, rcond=None)[0]
     spread = (AT.force_per_pa @ fitted).std()
-    # 20 000 samples know a standard deviation to 0.5 %.
+    # 20 000 samples determine a standard deviation to 0.5 %.
     assert information.force_resolution_n(total, AT) == pytest.approx(spread, rel=0.02)
     assert information.pressure_resolution_pa(total) == pytest.approx(fitted.std(1), rel=0.02)
     one = (slope / noise[:, None]) @ AT.pressure_per_n
@@ -103,7 +103,7 @@ def test_a_saturated_reading_has_no_information(scene):
 
 def test_a_reading_that_may_be_saturated_has_information_by_its_probability(scene):
     """Rationale: with a jump at the converter's limit, a layout there has no error that its photons could estimate.
-    Expected: over noisy readings of known error the information's mean is that of one far below times the probability
+    Expected: over noisy readings of given error the information's mean is that of one far below times the probability
     to be below, and the jackknife estimates its scatter, where that of a jump is mostly estimated as 0.
     """
     led, photodiode, rng = scene.leds[0], scene.photodiodes[0], np.random.default_rng(5)
@@ -225,7 +225,7 @@ def test_the_cover_keeps_half_of_the_ambient_light_out(computed):
     # What comes under a cover through the skin around it is the lesser part, but not by much: a healthy nail is clear.
     assert bool((sun.sel(cover="uncovered") > 1.8 * sun.sel(cover="covered")).all())
     assert bool((computed.ambient_a_stderr < 0.2 * computed.ambient_a).all())
-    # No sum over some hundred thousand photons, of which the lesser part leaves, is known better than this.
+    # No sum over some hundred thousand photons, of which the lesser part leaves, is more precise than this.
     assert bool((computed.ambient_a_stderr > 1e-3 * computed.ambient_a).all())
     dark = computed.attrs["checked_resolution_n"]
     assert dark <= float(computed.ambient_resolution_n.sel(cover="covered", ambient="lamp")) < 1.2 * dark
@@ -242,7 +242,7 @@ def test_light_from_outside_is_listed_beside_the_same_trace_without_it(computed)
 
 
 def test_a_photodiode_that_no_light_reaches_has_a_row(computed):
-    """Expected: without dark current, too, a line that says so, and no number."""
+    """Expected: without dark current, too, a line that reports it, and no number."""
     dark = computed.copy(deep=True)
     for name in ("predicted_volts", "predicted_noise_v"):
         dark[name][{"best_photodiode": 0}] = 0.0
@@ -284,7 +284,7 @@ def test_the_papers_layout_has_the_priors_of_the_scene(scene):
 
 
 def test_a_part_beside_the_scene_goes_with_the_chosen_layout(tmp_path):
-    """Layouts carry all that a part says, and so can be opened where the part is not."""
+    """Layouts carry all data of a part, and so can be opened where the part is not."""
     (tmp_path / "mine.toml").write_text(SCENE.replace('part = "led_800"', 'part = "own"'))
     own = 'kind = "led"\npeak_nm = 850.0\nfwhm_nm = 20.0\nflux_mw = 7.0\ndie_size_mm = [0.3, 0.2]\n'
     (tmp_path / "own.toml").write_text(own + 'pattern = "lambertian"\n')
@@ -325,7 +325,7 @@ def test_a_moved_photodiode_is_scored_as_a_layout_with_it_there(jit_backend):
     assert no_room.values.tolist() == [True, False]
     # Without time, another place of the board or of the LED is not traced.
     assert np.isnan(data.tolerance_ranking.sel(toleranced_part="board")).all()
-    # Each says why it is not known, on the page, too.
+    # Each states why it is not estimated, on the page, too.
     assert second.tolerance_missing.sel(deviation=["proximal", "distal"]).values.tolist() == ["no room", ""]
     by_part = {row["Part"]: row for row in _tolerance_rows(_tolerances(data.assign_coords(led=["ir"])))}
     assert {by_part["board"][kind] for kind in MOVED} == {"no time"}
@@ -438,10 +438,10 @@ def test_intervals_allow_for_errors_estimated_from_few_blocks():
 
 @pytest.mark.slow
 def test_the_ranking_is_as_stable_over_seeds_as_its_stated_confidence(chosen_jit, scene):
-    """Rationale: intervals claim 95 %. Expected: over 20 seeds the scores spread as their standard errors say,
+    """Rationale: intervals claim 95 %. Expected: over 20 seeds the scores scatter by their standard errors,
     intervals hold the mean of the other seeds, and no pair of layouts is ranked one way by one seed and the other
-    way by another. With a quarter of the photons, errors of 6 %, 63, 62 and 60 of 70 seeds held it: docs/trust.md says
-    so.
+    way by another. With a quarter of the photons, errors of 6 %, 63, 62 and 60 of 70 seeds covered it: see
+    docs/trust.md.
     """
     base = boards.base_board(scene)
     layouts = place.given(base, boards.rules(scene))
@@ -457,7 +457,7 @@ def test_the_ranking_is_as_stable_over_seeds_as_its_stated_confidence(chosen_jit
         scored.append([score_layout(layout, cache, worst) for layout in layouts])
     score = np.log([[float(one.force.all_n[0]) for one in row] for row in scored])
     error = np.array([[one.relative_error for one in row] for row in scored])
-    # 19 degrees of freedom know a variance to 32 %; the layouts share photons, so that they count as one.
+    # 19 degrees of freedom determine a variance to 32 %; the layouts share photons, so that they count as one.
     ratio = score.var(0, ddof=1) / (error**2).mean(0)
     assert np.all(ratio < 3.0), ratio
     # Where an error is so large that the score bends within it, as of the layout far away, it is estimated too large.
@@ -619,7 +619,7 @@ def test_the_page_stands_alone_and_the_result_is_kept(computed, tmp_path):
 
 @pytest.mark.long
 def test_stored_light_is_placed_again_without_a_photon(computed, fewer_photons, scene, monkeypatch):
-    """Rationale: a layout is judged again and again, with other electronics and blood. Expected: the same numbers, and
+    """Rationale: a layout is evaluated repeatedly, with other electronics and blood. Expected: the same numbers, and
     with coarser conversion coarser ones, from light that is stored; with other blood the maps of a fresh trace."""
     bloodier = scene.model_copy(update={"blood": scene.blood.model_copy(update={"rest_blood_fraction": 0.04})})
     condition = place.finger_condition(bloodier, FingerCase(name="one"), boards.rules(bloodier))
@@ -714,7 +714,7 @@ def test_a_photodiode_with_few_photons_has_no_standard_error():
 
 
 def test_the_scenes_own_layout_is_ranked_where_none_is_listed(scene):
-    """Expected: not of one reading, which tells no two pressures apart, nor off the board; no [placement] asks for as
+    """Expected: not of one reading, which separates no two pressures, nor off the board; no [placement] requests as
     many photodiodes as the scene has, of its own part."""
     text = SCENE[: SCENE.index("[placement]")].replace("size_mm = [1.0, 0.25]", 'part = "sfh2400"')
     inside = '[[photodiodes]]\nname = "second"\npart = "sfh2400"\nposition_mm = [1.0, 3.0]\n'

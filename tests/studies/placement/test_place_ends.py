@@ -35,7 +35,7 @@ def test_an_interrupt_leaves_the_ranking_as_far_as_it_is(chosen_jit, scene):
 
 @pytest.mark.slow
 def test_an_interrupt_of_the_search_leaves_its_best_after_one_batch_more(chosen_jit, tmp_path):
-    """Expected: no site of the LED is begun after Ctrl-C, and the best so far is judged by one batch of its own."""
+    """Expected: no site of the LED is begun after Ctrl-C, and the best so far is evaluated by one batch of its own."""
     requested = parse_scene(SCENE[: SCENE.index("[placement]")] + "[placement]\nphotodiodes = 2\n")
     reports = []
 
@@ -71,7 +71,7 @@ def test_verification_of_the_best_layout_ends_within_a_batch(chosen_jit, scene, 
 
 @pytest.mark.slow
 def test_a_time_limit_returns_the_layouts_traced_and_is_reported(chosen_jit, scene, tmp_path, monkeypatch):
-    """Every look at the clock takes a second: the given layouts' board has light by then, the paper's has not."""
+    """Every reading of the clock takes a second: the given layouts' board has light by then, the paper's has not."""
     clock = itertools.count()
     monkeypatch.setattr(StageProgress, "seconds", property(lambda _: next(clock)))
     with pytest.raises(NotReachedError, match="^max_seconds ended with 2 of 3 layouts traced") as caught:

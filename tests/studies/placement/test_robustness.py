@@ -1,4 +1,4 @@
-"""The ranking of layouts over what is unknown of the finger."""
+"""The ranking of layouts over the priors of the finger."""
 
 import itertools
 from dataclasses import replace
@@ -25,7 +25,7 @@ FIELDS = ("finger.plate_absorption", "finger.bed_absorption", "finger.bed_scatte
 
 @pytest.fixture(scope="module")
 def ranked(chosen_jit):
-    """Two layouts, photodiodes near the LED and far from it, and their resolution over three unknowns.
+    """Two layouts, photodiodes near the LED and far from it, and their resolution over three priors.
 
     Of a body that is still: the false force by waves of its pressure is the same on every finger and hides the rest.
     """
@@ -59,7 +59,7 @@ def test_the_ranking_covers_every_prior_that_only_absorbs(ranked):
     # More absorption makes resolution coarser, at every layout, and most where light comes from far.
     nodes = result.resolution_at_node_n.values[:2]
     assert (np.diff(nodes, axis=1) > 0).all() and (np.diff(nodes[..., 1] / nodes[..., 0], axis=1) > 0).all()
-    # So both act alike, and that they are correlated adds to, or takes from, their squares.
+    # So both act alike, and their correlation adds to, or subtracts from, their squares.
     priors = [next(one for one in base.priors.of_finger() if one.field == field) for field in FIELDS[:2]]
     alone = result.prior_resolution_spread.values[:2]
     total = np.sqrt(np.einsum("il,ij,jl->l", alone, base.priors.correlation(priors), alone))
@@ -69,7 +69,7 @@ def test_the_ranking_covers_every_prior_that_only_absorbs(ranked):
 
 
 def test_a_node_has_the_resolution_of_a_placement_on_that_finger(ranked):
-    """Rationale: the same layout judged on a finger that has the node's value, by photons of its own."""
+    """Rationale: the same layout evaluated on a finger that has the node's value, by photons of its own."""
     base, rules, layouts, photon_maps, result = ranked
     prior = next(one for one in base.priors.of_finger() if one.field == FIELDS[0])
     clear = at_value(base, prior.field, nodes_of(prior)[0])
@@ -80,7 +80,7 @@ def test_a_node_has_the_resolution_of_a_placement_on_that_finger(ranked):
     cache.extend(layout.board, 1 << 19)
     score = score_layout(layout, cache, Objective(rules, [one.point for one in cache.conditions]))
     resolution_n = float(result.resolution_at_node_n[0, 0, 0])
-    # Of half a million photons behind a node its score is known about as well as this one's.
+    # Of half a million photons behind a node its score is about as precise as this one's.
     assert abs(np.log(resolution_n / score.force.all_n[0])) < 4 * np.sqrt(2) * score.relative_error
     assert score.relative_error < 0.1
 
@@ -110,7 +110,7 @@ def test_out_of_time_only_complete_readings_are_reported(ranked, monkeypatch):
 
 
 def test_a_prior_of_scattering_is_traced_by_itself(ranked):
-    """Expected: a bed that scatters hardly otherwise is estimated by photons of its own, and as the usual one."""
+    """Expected: a bed of almost the same scattering is estimated by photons of its own, and as the usual one."""
     _, rules, layouts, photon_maps, _ = ranked
     scatters = next(one for one in layouts[0].board.priors.of_finger() if one.field == FIELDS[2])
     middle = float(np.sqrt(scatters.low * scatters.high))
@@ -129,7 +129,7 @@ def test_a_prior_of_scattering_is_traced_by_itself(ranked):
 
 
 def test_priors_of_the_bodys_waves_spread_the_resolution(ranked):
-    """Expected: with breathing between the ends of its prior the false force by it goes with its amplitude."""
+    """Expected: with breathing between the ends of its prior the false force by it is proportional to its amplitude."""
     _, rules, layouts, photon_maps, _ = ranked
     board = layouts[0].board.model_copy(update={"body": Body(breathing=Breathing())})
     waves = board.priors.of_body(board.body)

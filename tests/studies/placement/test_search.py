@@ -40,7 +40,7 @@ def two_leds(rules: str, *, barrier: bool = True, photodiodes: str = "") -> Scen
 
 
 class MadeLight:
-    """Maps of light that falls off with the distance from the LED, faster in the red, and sees the zones between."""
+    """Maps of light that falls off with the distance from the LED, faster in the red, and samples the zones between."""
 
     most_photons, part = None, slice(None)
 
@@ -60,7 +60,7 @@ class MadeLight:
         away = np.linalg.norm(where - place, axis=-1)
         reach = 1.0 if board.leds[led].wavelength_nm < 700 else 1.4
         light = 1e-4 * np.exp(-away / reach)
-        # What lies between them is seen: mostly at the middle of the way.
+        # What lies between them is sampled: mostly at the middle of the way.
         weight = BloodZones((0.0,), 2.0).weights(((where[..., 1] + place[1]) / 2).ravel()).reshape(*away.shape, 2)
         by_blood = -light[..., None] * weight * (3.0 * away / (1.0 + away))[..., None]
         values = np.concatenate([light[..., None], 0.1 * light[..., None], by_blood], -1)
@@ -123,7 +123,7 @@ def searched(scene: Scene) -> tuple[search.Search, list[SearchedSite]]:
 def test_exchange_of_leds_and_photodiodes_finds_the_best_of_all_layouts():
     """Rationale: three LEDs on five places each and three photodiodes on ten are 60 times 120 layouts, more than are
     given photodiodes one by one; an exchange may end in a local optimum. Expected: of twelve sets of zones and light,
-    by force and with a share's weight, it finds the best of all in nine or more, and elsewhere one within 3 % (of 100
+    by force and with a share's weight, it reaches the best of all in nine or more, and elsewhere one within 3 % (of 100
     it missed three, by 1.4 % at most)."""
     above = np.array([above_the_best(seed) for seed in range(12)])
     assert np.all(above > -1e-9) and np.all(above < 0.03) and (above < 1e-9).sum() >= 9
@@ -131,7 +131,7 @@ def test_exchange_of_leds_and_photodiodes_finds_the_best_of_all_layouts():
 
 
 def above_the_best(seed: int) -> float:
-    """By how much, relative, the score of what exchange finds exceeds that of the best of all layouts."""
+    """By how much, relative, the score of the exchange's layout exceeds that of the best of all layouts."""
     rng = np.random.default_rng(seed)
     places = np.column_stack([np.zeros(10), np.linspace(-3.0, 3.0, 10)])
     zones, reach_mm = BloodZones((float(rng.uniform(-1.0, 1.0)),), 2.0), rng.uniform(0.8, 1.8, 3)
@@ -173,7 +173,7 @@ def above_the_best(seed: int) -> float:
 @pytest.mark.parametrize("barrier", [True, False])
 def test_the_search_of_two_leds_is_no_worse_than_every_layout_on_its_grid(barrier):
     """Expected: no pair of LED places on the grid with any two photodiodes on theirs, all tried, is better than what
-    the search finds, which goes on between the grid's places; and what it finds keeps the clearances."""
+    the search's, which continues between the grid's places; and its layout keeps the clearances."""
     scene = two_leds(
         "photodiodes = 2\nled_step_mm = 4.0\nphotodiode_step_mm = 2.0\nclearance_mm = 0.2", barrier=barrier
     )
@@ -263,7 +263,7 @@ def test_a_new_photodiode_has_no_name_of_one_that_stays_on_the_board():
 
 
 def test_wiring_chooses_elements_where_they_are():
-    """Expected: of an array's elements those that brute force over all of them finds best for the same LEDs."""
+    """Expected: of an array's elements those that are best by brute force over all of them for the same LEDs."""
     array = '[[photodiodes]]\nname = "array"\nelements = 8\nsize_mm = [1.0, 0.5]\nposition_mm = [1.0, 1.0]\n'
     text = PLACEMENT[: PLACEMENT.index("[[photodiodes]]")] + SECOND_LED.replace("-3.0, 2.0", "-3.0, 1.0") + array
     scene = parse_scene(text + '[placement]\nphotodiodes = 3\nwire = true\nfixed = ["ir", "red"]\n')
@@ -308,7 +308,7 @@ def test_rules_that_make_no_sense_are_one_line(rules, words):
 
 
 def test_the_error_of_the_share_is_the_scatter_of_pressures():
-    """Pressures that scatter as the information says: the spread of the proximal part of the force they make."""
+    """Pressures that scatter by the information: the standard deviation of the proximal part of the force they make."""
     per_pa2 = np.array([4e-4, 1e-4, 2e-4])
     point = information.OperatingPoint(
         AT.blood_fraction, AT.blood_per_pa, 0.5, np.array([4e-5, 6e-5]), np.array([1.3e4, 8e3])
@@ -317,7 +317,7 @@ def test_the_error_of_the_share_is_the_scatter_of_pressures():
     pressures = np.random.default_rng(1).multivariate_normal(0.5 * point.pressure_per_n, covariance, 100_000)
     forces = pressures * point.force_per_pa
     spread = (forces[:, 0] / forces.sum(1)).std()
-    # A hundred thousand samples know a standard deviation to 0.2 %.
+    # A hundred thousand samples determine a standard deviation to 0.2 %.
     assert information.share_resolution(per_pa2, point) == pytest.approx(spread, rel=0.01)
 
 

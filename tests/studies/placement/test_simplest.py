@@ -112,7 +112,7 @@ def score(value, blocks):
 
 def test_ties_are_by_the_difference_in_which_shared_noise_cancels():
     """Layouts 5 % apart with errors of 10 % that they share are distinguished; with errors of their own they tie, and
-    so do layouts 1 % apart that are known exactly, and 3 % apart with an error of 1 %; 3 % apart, and exact, do not."""
+    so do layouts 1 % apart without error, and 3 % apart with an error of 1 %; 3 % apart, and exact, do not."""
     shared, own = 0.4 * np.random.default_rng(0).standard_normal((2, 16))
     assert objective.ties([score(1.05, shared), score(1.0, shared)]).tolist() == [False, True]
     assert objective.ties([score(1.05, own), score(1.0, shared)]).tolist() == [True, True]
@@ -143,7 +143,7 @@ def test_the_simplest_of_those_that_tie_within_four_percent_comes_first(monkeypa
 
 
 def test_layouts_of_which_none_resolves_anything_are_refused_in_a_line():
-    """Expected: a layout that says nothing never ties with one that does; if all say nothing, what to do."""
+    """Expected: a layout that resolves nothing never ties with one that does; if all resolve nothing, advice."""
 
     def score(value):
         return objective.LayoutScore(*[None] * 6, None, np.full(9, value))
@@ -181,7 +181,7 @@ def test_the_page_states_how_many_tie():
 
 
 def test_a_layout_of_which_a_reading_may_be_saturated_is_named():
-    """Expected: by the least probability of all readings to be below the limit, on page and terminal; else no word."""
+    """Expected: by the least probability of all readings to be below the limit, on page and terminal; else nothing."""
 
     def score(*unsaturated):
         one, none = np.ones((9, 2)), np.zeros((9, 2))
@@ -221,7 +221,7 @@ def test_seeds_agree_on_the_simplest_of_what_ties():
 
 @pytest.mark.slow
 def test_seeds_propose_one_layout_of_the_shipped_scene_or_report_a_tie(chosen_jit, store):
-    """Expected: the proposals of three seeds are the same, every part within 0.25 mm, or each says that others tie."""
+    """Expected: the proposals of three seeds are the same, every part within 0.25 mm, or each reports a tie."""
     scene, computed = load_scene(data_dir("scenes") / "placement.toml"), []
     for seed in (1, 2, 3):
         computed.append(as_far_as_reached(place, scene, seed=seed, max_seconds=3000.0)[0])

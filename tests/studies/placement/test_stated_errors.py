@@ -1,4 +1,4 @@
-"""Stated errors of a placement against the scatter of other seeds."""
+"""Reported standard errors of a placement against the scatter of other seeds."""
 
 from functools import lru_cache
 
@@ -26,12 +26,12 @@ photodiodes_mm = [[-0.8, -2.5], [-0.8, -1.5], [-0.8, -0.5], [-0.8, 0.5], [-0.8, 
 """
 FIELDS = ("finger.plate_absorption", "finger.bed_absorption")
 PHOTONS, SEEDS = 1 << 18, range(20)
-# Where so much of a number is noise, its error is not known well enough to be judged by twenty seeds.
+# Where so much of a number is noise, its error is too imprecise to be tested by twenty seeds.
 MOST_RELATIVE_ERROR = 0.25
 
 
 def scene() -> Scene:
-    """A layout near its LED, two unknowns."""
+    """A layout near its LED, two priors."""
     scene = parse_scene(SCENE)
     known = tuple(one.field for one in scene.priors.of_finger() if one.field not in FIELDS)
     return scene.model_copy(update={"priors": Priors(known=known)})
@@ -51,7 +51,7 @@ def computed(chosen_jit) -> list[xr.Dataset]:
 
 
 def assert_calibrated(values: np.ndarray, errors: np.ndarray, name: str) -> None:
-    """Distances from the mean over the seeds, in standard errors, of what is known well enough.
+    """Distances from the mean over the seeds, in standard errors, of what is resolved well enough.
 
     Expected: a root mean square of 1 within the 50 % that three times the chance of twenty seeds is.
     """
