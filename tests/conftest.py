@@ -17,7 +17,7 @@ from fewer_photons import COARSE_MM, PHOTONS_FROM_OUTSIDE, ROUGH_PHOTONS
 
 # Before NumPy is loaded, here or in a worker: threads of BLAS that wait for small matrices take a fifth of the time.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# Package and tests are compiled once, not anew in each of the processes of a run.
+# Package and tests are compiled once, not again in each of the processes of a run.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 

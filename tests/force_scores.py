@@ -111,7 +111,7 @@ class VirtualPerson:
 
     def recording(self, kind: str, site: record.Site, *, seed: int = 0) -> Recording:
         """What the sensor reads under some touches, made unless it was before."""
-        # A person who was changed is recorded anew.
+        # A person who was changed is recorded again.
         made_of = f"{digest(self.scene)} {self.photons} {self.model}"
         own = hashlib.sha256(made_of.encode()).hexdigest()[:8]
         path = self.folder / f"{self.name}_{kind}_{site}_{seed}_{self.rate_hz:g}hz_{own}.csv"

@@ -99,7 +99,7 @@ def interrupted_at(
 
 @dataclass(frozen=True)
 class Interrupting:
-    """Interrupts commands of this process, which need not be loaded anew: for what becomes of their results."""
+    """Interrupts commands of this process, which need not be loaded again: for the state of their results."""
 
     monkeypatch: pytest.MonkeyPatch
     capfd: pytest.CaptureFixture[str]

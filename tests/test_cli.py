@@ -230,7 +230,7 @@ def test_a_command_loads_nothing_that_it_has_no_use_for(folder):
     assert done.returncode == 0 and done.stdout.splitlines()[-1] == "loaded", done.stdout + done.stderr
 
 
-def test_a_reader_that_goes_away_is_no_error(folder):
+def test_a_reader_that_closes_the_pipe_is_no_error(folder):
     """`nailoptics schema | head -c 1`: no traceback, no complaint when Python ends."""
     reading, writing = os.pipe()
     os.close(reading)
@@ -555,7 +555,7 @@ def test_progress_is_plain_lines_in_a_log_and_a_bar_on_a_terminal(folder):
     assert "LED beam" in shown and "\x1b[" in shown and "━" in shown and "Traceback" not in shown
 
 
-def test_python_shows_progress_in_one_line_that_is_written_anew(capsys):
+def test_python_shows_progress_in_one_line_that_is_overwritten(capsys):
     of_led = TraceProgress("ir", 1000, 0.031, 0.02, 0.4, 2.0)
     for p in (of_led, replace(of_led, fraction_done=1.0, relative_error=0.02)):
         show_progress(p)

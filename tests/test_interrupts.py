@@ -145,7 +145,7 @@ def test_the_colour_of_a_nail_is_kept_without_its_photographs(folder, interrupti
 
 @pytest.mark.long
 @pytest.mark.jit
-def test_the_rays_that_a_colour_waits_for_are_given_up(folder, interrupting, monkeypatch):
+def test_the_rays_that_a_colour_waits_for_are_abandoned(folder, interrupting, monkeypatch):
     """Expected: at the second wavelength of the second round, of ten times as many rays, the first's are kept."""
     command = ("colour", "finger.toml", "--no-photograph", "--tolerance", "0.01", "-o", "out")
     place = "nailoptics.light.walk.nail_reflectance:NailReflectance.reflect"

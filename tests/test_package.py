@@ -269,7 +269,7 @@ def test_the_command_exists():
     assert callable(getattr(importlib.import_module(module), function))
 
 
-def test_what_was_built_names_its_commit(tmp_path, monkeypatch):
+def test_an_installed_package_names_the_commit_of_its_build(tmp_path, monkeypatch):
     """Expected: an installed package states the commit that its wheel was built from, a clone its own."""
     built = tmp_path / "_commit.txt"
     monkeypatch.setattr(version, "_BUILT_FROM", built)
@@ -307,7 +307,7 @@ sys.exit(max(run(command.split()) for command in sys.argv[1:]))
 
 
 def test_nothing_is_needed_that_only_posix_has(chosen_jit, coarse_cells, tmp_path):
-    """Rationale: no machine with Windows was at hand. Expected: without the modules, functions and signals that Python
+    """Rationale: Windows was not available. Expected: without the modules, functions and signals that Python
     has not got there, and with no text in the system's own encoding, a scene is checked, its light traced and kept."""
     trace = f"trace prototype --photons 2000 --backend {chosen_jit.name} -o light.npz"
     commands = ["check prototype", trace, "export prototype -o finger --format mitsuba", "store"]

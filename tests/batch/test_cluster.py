@@ -119,7 +119,7 @@ def test_a_cluster_gives_the_same_bits_and_loses_nothing(calm, cluster, tmp_path
 
 
 @pytest.mark.slow
-def test_a_run_without_workers_goes_on_with_new_ones(calm, cluster, tmp_path):
+def test_a_run_without_workers_continues_with_new_ones(calm, cluster, tmp_path):
     def replace_all() -> None:
         for worker in cluster.workers:
             cluster.end(worker)

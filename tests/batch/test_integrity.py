@@ -55,7 +55,7 @@ def again(calm: Calm, folder: Path, **options):
     return outcome, news
 
 
-def test_results_of_another_seed_or_version_are_made_again(calm, used, caplog):
+def test_results_of_another_seed_or_version_are_computed_again(calm, used, caplog):
     made = unpack(results_of(used)[0].read_bytes())[0]["made"]
     for path, other in zip(
         results_of(used),
@@ -73,7 +73,7 @@ def test_results_of_another_seed_or_version_are_made_again(calm, used, caplog):
 
 
 @pytest.mark.parametrize("damage", ["lost", "cut", "incomplete", "folder"])
-def test_without_its_plan_a_folder_serves_no_other_seeds_results(calm, used, damage, other_seed, caplog):
+def test_without_its_plan_a_folder_gives_no_other_seeds_results(calm, used, damage, other_seed, caplog):
     plan = used / "plan.json"
     whole = json.loads(plan.read_text())
     plan.unlink()
@@ -127,7 +127,7 @@ def test_a_plan_that_is_no_table_is_refused(used, text):
             question(used)
 
 
-def test_a_light_under_another_name_is_not_served(calm, used, caplog):
+def test_light_under_another_name_is_not_used(calm, used, caplog):
     folders = sorted((used / "light").iterdir())
     for folder in folders[1:4]:
         [mine], [other] = folder.iterdir(), folders[0].iterdir()
@@ -138,7 +138,7 @@ def test_a_light_under_another_name_is_not_served(calm, used, caplog):
     assert len(outcome.done) == 30 and bits(used) == calm.bits and caplog.text.count("it is another light's") == 3
 
 
-def test_a_damaged_results_folder_is_reported_and_the_rest_goes_on(calm, used):
+def test_a_damaged_results_folder_is_reported_and_the_rest_continues(calm, used):
     paths = results_of(used)
     shutil.copy(paths[0], paths[1])
     for path in paths[2:4]:
@@ -163,7 +163,7 @@ def bits_of_files(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in results_of(folder) if path.is_file()}
 
 
-def test_another_sweep_is_refused_and_one_that_grew_goes_on(calm, used, tmp_path):
+def test_another_sweep_is_refused_and_one_that_grew_continues(calm, used, tmp_path):
     other = phantoms(tmp_path, 4, low=5.0, high=6.0)
     with pytest.raises(InputError, match="30 of its 30 scenes are not"):
         run_batch(other, used, workers=1)
@@ -197,7 +197,7 @@ def test_a_batch_of_another_version_opens_but_does_not_resume(calm, used, caplog
         again(calm, used)
 
 
-def test_what_another_program_made_is_made_again(calm, used, monkeypatch, caplog):
+def test_results_of_another_program_are_computed_again(calm, used, monkeypatch, caplog):
     """Of the same version, as between releases. Expected: opened with a warning, never mixed with new results."""
     monkeypatch.setattr(folders, "program_digest", lambda code, assets: "another program")
     assert (status(used).foreign, status(used).left, status(used).other_versions) == (30, 30, "")

@@ -44,7 +44,7 @@ def test_scenes_of_other_zones_and_times_are_one_dataset(jit_backend, here):
 
 
 @pytest.mark.jit
-def test_in_a_folder_a_sweep_goes_on(jit_backend, here, tmp_path):
+def test_in_a_folder_a_sweep_is_resumed(jit_backend, here, tmp_path):
     scene, folder = phantoms(tmp_path, 1).scenes[0], tmp_path / "b"
     field = "phantom.layers.slab.thickness_mm"
     more = {"folder": folder, "workers": 1, "backend": jit_backend.name}

@@ -157,7 +157,7 @@ def driver(sweep_file: Path, folder: Path, *options: str, **kwargs) -> subproces
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **kwargs)
 
 
-def test_a_killed_driver_takes_its_workers_along_and_the_next_run_goes_on(calm, here, tmp_path):
+def test_a_killed_driver_ends_its_workers_and_the_next_run_resumes(calm, here, tmp_path):
     process = driver(calm.file, tmp_path / "b", "--workers", "2")
     deadline = time.time() + 60
     while len(bits(tmp_path / "b")) < 4 and time.time() < deadline:
@@ -332,7 +332,7 @@ def test_a_result_as_accurate_as_required_is_not_run_again():
     assert not meets(header | {"relative_error": None}, Accuracy(relative_error=1.0))
 
 
-def test_a_full_disk_ends_the_run_and_the_next_one_goes_on(jit_backend, here, tmp_path):
+def test_a_full_disk_ends_the_run_and_the_next_one_resumes(jit_backend, here, tmp_path):
     """A limit on the size of files stands in for a full disk."""
     import resource
 

@@ -24,7 +24,7 @@ SLOW, SLOW_SWEEPS = {"nail_colour", "pulse_oximeter"}, {"photographs"}
 LONG = {"calibration", "heartbeat", "prototype"}
 # Placed by test_outputs_run.
 ELSEWHERE = {"placement"}
-# Scenes of a sweep that are run, spread over it: few where each is traced anew.
+# Scenes of a sweep that are run, spread over it: few where each is traced separately.
 MOST_SCENES = {"photographs": 2, "fingers": 3, "led_place_and_nail": 4}
 QUICK = {"vein_stiffness"}
 # Scenes of two zones, of eight, and of a heart, whose readings over their priors are read as well.

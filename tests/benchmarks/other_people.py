@@ -160,7 +160,7 @@ BOTH_SIDES = tuple(Recording(f"{r.name.split('_')[0]}_even_held", "even", r.slow
 
 def followed(person: Person, rng: np.random.Generator, path: Path, donnings: int) -> tuple[np.ndarray, ...]:
     """What `touches` returns of the command's protocol, written to path; whether the touch is proximal; and how often
-    the sensor was put on before, NaN while it is off."""
+    the sensor was donned before, NaN while it is off."""
     own = ["--seed", str(PEOPLE.index(person.name)), "--donnings", str(donnings)]
     run(["protocol", str(SCENE), *own, "-o", str(path)], path.with_suffix(".json"))
     table = np.loadtxt(path, delimiter=",", skiprows=1)

@@ -144,7 +144,7 @@ def test_stiffness_damping_and_flow_a_thousand_times_off(field, factor):
 
 
 @pytest.mark.parametrize("model", ["massless", "inertial"])
-def test_an_impulse_of_a_millisecond_is_felt_and_forgotten(model):
+def test_an_impulse_of_a_millisecond_narrows_the_vein_and_decays(model):
     p = parameters("figures")
     time = np.arange(0.0, 2.0, 1e-3)
     touch = np.where(np.arange(time.size) == 1000, 1e5, 0.0)

@@ -98,7 +98,7 @@ def test_no_touch_needs_more_than_twenty_times_the_steps_of_radau(seeds, steps, 
         run = respond(p, time, **given)
         assert np.all(np.isfinite(run["capillary_diameter_m"])) and np.all(run["capillary_diameter_m"] > 0.0)
         ours = steps.taken
-        # The six states, started anew at each corner, are what the massless model is to replace.
+        # The six states, restarted at each corner, are what the massless model is to replace.
         least = -(-ours // 20)
         assert radau_takes(monkeypatch, least, p, time, **given) >= least, seed
 

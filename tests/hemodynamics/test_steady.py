@@ -199,7 +199,7 @@ def test_named_sets_have_one_balance_at_any_touch(name):
         assert np.allclose(wide.capillary_diameter_m, narrow.capillary_diameter_m, rtol=1e-9)
 
 
-# Found among random sets within a factor of 10 of the list: soft capillaries that a touch on them shuts, and such that
+# From random sets within a factor of 10 of the list: soft capillaries that a touch on them shuts, and such that
 # a shut vein fills, which then feed it.
 SHUT, FILLED = (
     {

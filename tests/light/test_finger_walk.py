@@ -47,7 +47,7 @@ def test_photons_and_volpath_read_the_same_on_a_photodiode_of_the_finger(jit_bac
     """Within 3 combined standard errors at 3 % each.
 
     The array has one element as long as sixteen of its own beside the LED: more light settles in fewer paths. Their
-    number is fixed: volpath's batches are skewed, and stopping where they first look settled favours low ones.
+    number is fixed: volpath's batches are skewed, and stopping where they first appear settled favours low ones.
     """
     scene = prototype(index_steps=index_steps)
     large = {"elements": 1, "size_mm": (1.0, 4.0), "wired": (0,), "position_mm": (0.0, 0.0)}
@@ -79,7 +79,7 @@ def test_stock_mitsuba_detects_a_tenth_more_absorption_on_the_prototype(jit_back
     a chance of 1 in 270, and their mean ratio within 3; with a tenth more absorption that is beyond 3.
 
     Rationale: a tenth dims the readings by 2.4 %, which needs their mean ratio to 0.5 %. The number of paths is fixed:
-    volpath's batches are skewed, and stopping where they first look settled favours low ones. Stock Mitsuba scatters
+    volpath's batches are skewed, and stopping where they first appear settled favours low ones. Stock Mitsuba scatters
     at each wavelength of the line as there, the walk as at the peak.
     """
     scene = prototype()

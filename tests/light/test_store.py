@@ -65,7 +65,7 @@ def test_a_second_trace_walks_nothing_and_has_the_bits_of_a_fresh_one(small_batc
 
 
 @pytest.mark.jit
-def test_a_tighter_error_goes_on_and_another_seed_or_place_traces_anew(small_batches, store):
+def test_a_tighter_error_continues_the_trace_and_another_seed_or_place_starts_one(small_batches, store):
     coarse = nail.trace(slab(), relative_error=0.02, seed=1)
     fine = nail.trace(slab(), relative_error=0.008, seed=1)
     assert fine.reused_photons == coarse.photons < fine.photons
@@ -195,7 +195,7 @@ def _made(folder) -> str:
     return json.dumps(header["key"])
 
 
-def test_every_choice_that_decides_bits_has_a_light_of_its_own(tmp_path, monkeypatch):
+def test_every_option_that_changes_bits_has_its_own_entry_in_the_store(tmp_path, monkeypatch):
     store, scene = LightStore(tmp_path), slab()
     made = led_cache_key(scene, 0, seed=1, backend="llvm")
     others = [
@@ -211,7 +211,7 @@ def test_every_choice_that_decides_bits_has_a_light_of_its_own(tmp_path, monkeyp
         assert store.entry(led_cache_key(same, 0, seed=1, backend="llvm")).folder == store.entry(made).folder
 
 
-def test_walks_that_go_otherwise_have_lights_of_their_own(tmp_path):
+def test_walks_of_other_settings_have_their_own_entries_in_the_store(tmp_path):
     """Those on other faces, or that record more; a part that is there has its faces anyway."""
     finger = parse_scene(SMALL_FINGER + '[light]\nleft_out = ["bone"]\n')
     ways = [(finger, how) for how in ({}, {"with_faces": ("bone",)}, {"with_faces": ("kapton",)})]

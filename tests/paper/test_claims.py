@@ -224,7 +224,7 @@ def test_pairs_of_sets_go_through_the_coordinates_of_the_search():
 
 
 @pytest.mark.long
-def test_search_goes_on_from_a_given_set():
+def test_search_continues_from_a_given_set():
     # One generation around a good set reaches what random sets do not.
     near = search(seed=0, max_seconds=1e-3, population=6, start=(parameters("best"), parameters("best")))
     assert near.pairs == 6 and near.loss < search(seed=0, max_seconds=1e-3, population=6).loss

@@ -69,7 +69,7 @@ def file(explored: Exploration, tmp_path_factory: pytest.TempPathFactory) -> Pat
 
 @pytest.fixture(scope="module")
 def tab(browser: Any) -> Iterator[Any]:
-    """One tab for all tests that load the page anew: a tab of its own would cost each as much as the page itself."""
+    """One tab for all tests that reload the page: a tab of its own would cost each as much as the page itself."""
     context = browser.new_context(viewport={"width": 1200, "height": 900})
     yield context.new_page()
     context.close()
@@ -94,7 +94,7 @@ def heard(tab: Any, file: Path) -> Iterator[None]:
 
 
 def open_page(tab: Any, file: Path) -> None:
-    """The page as it opens; it is loaded anew unless it was left so."""
+    """The page as it opens; it is reloaded unless it was left so."""
     if tab.url.split("#")[0] != file.as_uri() or not tab.evaluate("window.isUnchanged"):
         tab.goto(file.as_uri())
     tab.evaluate("say(''); window.isUnchanged = false")
@@ -110,7 +110,7 @@ def shown(tab: Any, file: Path) -> Iterator[Any]:
 
 @pytest.fixture
 def unchanged(tab: Any, file: Path) -> Iterator[Any]:
-    """The page as it opens, for tests that leave its layout as it is, of which the next need not load it anew."""
+    """The page as it opens, for tests that leave its layout as it is, of which the next need not reload it."""
     with heard(tab, file):
         open_page(tab, file)
         opened = tab.evaluate("workbench.layout")

@@ -16,7 +16,7 @@ def test_the_figure_is_drawn_into_a_folder(tmp_path):
 
 
 def test_a_figure_is_written_as_matplotlib_itself_would(tmp_path):
-    """Expected: the bytes of `Figure.savefig`, which draws a figure whose layout is worked out twice."""
+    """Expected: the bytes of `Figure.savefig`, which draws a figure whose layout is computed twice."""
 
     def drawn():
         figure, axes = style.panels(4.0, 2.5, 1, 2)

@@ -170,7 +170,7 @@ def test_a_straight_line_fits_an_exponential_up_to_the_theoretical_limit():
 
 @pytest.mark.slow
 def test_standard_errors_are_those_of_repeated_traces():
-    """The jackknife's errors against the spread of 30 made-up traces, for ratios and for a difference of readings."""
+    """The jackknife's errors against the spread of 30 synthetic traces, for ratios and for a difference of readings."""
     rng = np.random.default_rng(11)
     values, errors = [], []
     for seed in range(30):
@@ -193,7 +193,7 @@ def test_standard_errors_are_those_of_repeated_traces():
 @pytest.mark.slow
 def test_printed_intervals_of_a_comparison_have_their_nominal_coverage():
     """Rationale: every number of a comparison has a standard error, every limit a 95 % interval. Expected: over 20
-    made-up traces they hold what twenty times the photons give, in 17 or more (fewer would come once in 60 times)."""
+    synthetic traces they cover the value of twenty times the photons in 17 or more (fewer only once in 60 times)."""
     rng = np.random.default_rng(21)
 
     def computed(photons: int, seed: int) -> xr.Dataset:

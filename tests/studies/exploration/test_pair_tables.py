@@ -65,7 +65,7 @@ def test_a_kernel_of_its_form_is_recovered_from_photons_drawn_from_it(wall):
 
 
 def test_stored_tables_are_those_of_the_blood_and_photodiodes():
-    """What changes the tables is traced anew; what only names parts or lights them more is not."""
+    """What changes the tables is traced again; what only names parts or lights them more is not."""
     plain = scene()
 
     def digest_of(changed, seed=0, plate=1.5):

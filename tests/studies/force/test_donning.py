@@ -75,16 +75,18 @@ def test_a_calibration_estimates_how_readings_differ_between_donnings() -> None:
     more = np.diag([0.0] * begins[0].drift.start + [subject.noise.donning**2] * 8)
     assert begins[0].initial()[1] - begins[1].initial()[1] == pytest.approx(more, rel=1e-6, abs=1e-12)
     # Every other reading, every other two, and the first four against the last, as where blood shifts between zones.
-    anew = [put_on(slowly_recorded(9 + pattern), pattern) for pattern in (1, 2, 4)]
-    results = [predict(subject, one) for one in anew]
+    redonned = [put_on(slowly_recorded(9 + pattern), pattern) for pattern in (1, 2, 4)]
+    results = [predict(subject, one) for one in redonned]
     assert all(result.attrs["consistent"] for result in results)
     assert max(float(result.touch_rms_n[0]) for result in results) < 0.06
     assert np.mean([float(result.touch_coverage_95[0]) for result in results]) > 0.8
     # A calibration without it mistakes the other gains for touches, and reports a misfit: the rms errors
     # are 0.04, 0.07 and 0.18 N, and 0.01, 0.03 and 0.05 N by the calibration with it, whatever the noise.
-    lost = [predict(once, one) for one in anew]
-    assert not any(result.attrs["consistent"] for result in lost)
-    off, known = (np.sqrt(np.mean([float(one.touch_rms_n[0]) ** 2 for one in some])) for some in (lost, results))
+    without_donnings = [predict(once, one) for one in redonned]
+    assert not any(result.attrs["consistent"] for result in without_donnings)
+    off, known = (
+        np.sqrt(np.mean([float(one.touch_rms_n[0]) ** 2 for one in some])) for some in (without_donnings, results)
+    )
     assert off > max(0.1, 3 * known)
 
 

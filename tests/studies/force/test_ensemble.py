@@ -59,7 +59,7 @@ def test_a_calibrations_zero_is_that_of_recorded_rest():
     assert series.over_rest == pytest.approx(known.over_rest(read.volts, rests, since_s))
 
 
-def test_errors_are_of_touches_that_were_held_out():
+def test_errors_are_those_of_held_out_touches():
     quality, ensemble = subject().quality, subject().ensemble
     assert ensemble is not None
     assert set(quality.touches) == {"all", *(f"{s} {m}" for s in ("proximal", "distal") for m in ("still", "moving"))}
@@ -98,7 +98,7 @@ def test_touches_of_both_sides_are_of_neither():
     assert kinds["all"]["rms_n"] == pytest.approx(np.sqrt(0.35 / 3))
 
 
-def test_few_touches_leave_the_filter_alone():
+def test_few_touches_give_the_filter_without_an_ensemble():
     alone = parse_subject(made_sensor.subject())
     assert alone.ensemble is None
     estimated = predict(alone, made_sensor.record(made_sensor.cycle(0.6), "proximal", seed=2))
@@ -116,7 +116,7 @@ def test_a_subject_file_keeps_the_ensemble():
     )
 
 
-def test_lines_that_come_one_by_one_are_answered_as_a_file_is():
+def test_estimates_line_by_line_are_those_of_a_file():
     recording = made_sensor.record(made_sensor.cycle(0.6, lasting_s=4.0), "proximal", seed=2)
     recording.volts[0, 50:60] = np.nan
     lines = recording_csv(recording).splitlines(keepends=True)
@@ -124,7 +124,7 @@ def test_lines_that_come_one_by_one_are_answered_as_a_file_is():
     assert list(live(subject(), lines)) == list(csv_rows(predict(subject(), written)))
 
 
-def test_memory_is_of_constant_size_and_forgets():
+def test_memory_is_of_constant_size_and_decays():
     memory, since_s = Features(np.eye(2)), np.full(5000, 0.02)
     ln_v = np.tile(np.where(np.arange(5000) < 100, 0.1, 0.0), (2, 1))
     over_rest = memory.over_rest(np.exp(ln_v), np.zeros(5000, bool), since_s)
@@ -157,7 +157,7 @@ def test_the_zero_follows_readings_that_are_far_from_it_four_times_slower():
         assert values[0, -1] == pytest.approx(far * np.exp(-90.0 / (slower * ZERO_S)), rel=0.05)
 
 
-def test_the_zero_is_not_left_behind_by_a_light_that_fades_for_long():
+def test_the_zero_follows_a_light_that_drifts_for_long():
     """Rationale: a drift that leads the zero astray takes it further away, where it follows less. Expected: it lies
     behind by no more than the drift of four time constants."""
     fading = 0.03 * np.arange(3600.0)[None]
@@ -165,7 +165,7 @@ def test_the_zero_is_not_left_behind_by_a_light_that_fades_for_long():
     assert values[0, -1] == pytest.approx(0.03 * 4.0 * ZERO_S, rel=0.05)
 
 
-def test_readings_at_rest_and_memory_begin_anew_after_a_gap_as_the_filter_does():
+def test_readings_at_rest_and_memory_restart_after_a_gap_as_the_filter_does():
     memory, since_s = Features(np.eye(1)), np.array([0.0, 0.02, LONGEST_GAP_S + 1.0, 0.02])
     over_rest = memory.over_rest(np.exp([[0.0, 0.1, 0.3, 0.4]]), np.zeros(4, bool), since_s)
     assert over_rest == pytest.approx(np.array([[0.0, 0.1, 0.0, 0.1]]))

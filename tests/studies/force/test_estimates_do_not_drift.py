@@ -30,14 +30,14 @@ def at_rest_n(touches: int) -> Iterator[float]:
 
 
 @pytest.mark.long
-def test_touches_leave_the_zero_of_the_force_where_it_is() -> None:
+def test_touches_do_not_shift_the_zero_of_the_force() -> None:
     before_n = list(at_rest_n(16))
     # Were touches whose blood the model does not quite follow mistaken for drift, it would grow to 12 mN.
     assert max(before_n) < 2e-3
 
 
 @pytest.mark.slow
-def test_a_million_samples_leave_the_zero_of_the_force_where_it_is() -> None:
+def test_a_million_samples_do_not_shift_the_zero_of_the_force() -> None:
     """Takes a quarter of an hour. Measured: it settles within 100 touches, see the bound."""
     before_n = np.array(list(at_rest_n(5000)))
     assert before_n.max() < 5e-3

@@ -283,7 +283,7 @@ def test_a_touch_after_one_far_past_closure_is_estimated(subject: Subject, table
 
 
 @pytest.mark.parametrize("site", ["proximal", "distal"])
-def test_a_touch_that_is_let_go_past_closure_leaves_nothing_behind(site: str) -> None:
+def test_a_touch_released_past_closure_leaves_no_residual_force(site: str) -> None:
     time_s = np.arange(0.0, 10.0, made_sensor.STEP_S)
     force = np.interp(time_s, [0.0, 1.0, 1.16, 4.0, 4.16, 10.0], [0.0, 0.0, 1.5, 1.5, 0.0, 0.0])
     estimated = predict(parse_subject(made_sensor.subject()), made_sensor.record(force, site, seed=3))
@@ -292,7 +292,7 @@ def test_a_touch_that_is_let_go_past_closure_leaves_nothing_behind(site: str) ->
     assert (estimated.force_low_n.values[later] == 0).all()
 
 
-def test_how_well_readings_fit_is_alike_at_any_rate() -> None:
+def test_the_misfit_of_readings_is_the_same_at_any_rate() -> None:
     """Rationale: a threshold means the same at any rate if its statistic does. Expected: of the same readings, which
     move 10 % unlike the model's, at 50 and 12.5 Hz."""
     recorded = made_sensor.record(made_sensor.cycle(0.6), "distal", seed=4)
@@ -367,7 +367,7 @@ def test_what_the_protocol_has_and_a_recording_lacks_is_reported() -> None:
     assert not [*lacking([Recording("made", (), at_s, np.zeros((0, at_s.size)), followed, site)])]
 
 
-def test_a_filter_that_ran_away_starts_anew_and_its_readings_are_flagged(subject: Subject, table: ReadingTable) -> None:
+def test_a_diverged_filter_restarts_and_its_readings_are_flagged(subject: Subject, table: ReadingTable) -> None:
     recorded = _record(table, _steps(), "proximal", seed=13)
     fresh, kalman = (KalmanFilter(subject) for _ in range(2))
     for volts in recorded.volts.T[:150]:

@@ -40,7 +40,9 @@ def lines(folder: Path) -> list[str]:
     return (folder / "touch.csv").read_text().splitlines(keepends=True)[:12]
 
 
-def test_lines_are_answered_as_a_file_is_and_one_by_one(subject: Subject, folder: Path, lines: list[str]) -> None:
+def test_estimates_of_lines_are_those_of_a_file_and_come_one_by_one(
+    subject: Subject, folder: Path, lines: list[str]
+) -> None:
     (folder / "part.csv").write_text("".join(lines))
     given = iter(lines)
     answers = live(subject, given)
@@ -77,7 +79,7 @@ def test_samples_that_become_too_slow_are_refused(subject: Subject) -> None:
     assert 121 < len(read_s) < 121 + 30
 
 
-def test_samples_in_python_are_answered_as_a_recording_is_and_one_by_one(subject: Subject) -> None:
+def test_estimates_of_samples_in_python_are_those_of_a_recording_and_come_one_by_one(subject: Subject) -> None:
     """Expected: with gaps, too, the forces of `predict`; no sample is taken before the one before it is answered."""
     recording = made_sensor.record(made_sensor.cycle(0.6, lasting_s=4.0), "proximal", seed=3)
     recording.volts[3, 5] = np.nan

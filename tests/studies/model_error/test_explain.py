@@ -225,7 +225,7 @@ def test_effects_that_are_retraced_have_calibrated_errors(chosen_jit, monkeypatc
     assert (held.mean(axis=(0, 2)) > 0.87).all(), held.mean(axis=(0, 2))
     for of_exact, *of_seeds in zip(*printed, strict=True):
         assert_printed(of_seeds, of_exact[1])
-    # Errors that were far too large would say nothing.
+    # Errors far too large would pass unnoticed.
     assert (np.sqrt((z[..., :-1] ** 2).mean(axis=(0, 3))) > 0.5).all()
 
 
@@ -373,7 +373,7 @@ def test_an_interrupt_keeps_the_effects_that_were_measured(jit_backend, coarse_c
 @pytest.mark.long
 @pytest.mark.jit
 def test_a_time_limit_keeps_what_was_measured_and_is_reported(jit_backend, coarse_cells, monkeypatch, tmp_path, capsys):
-    """Whatever the clock says: after three traces nothing is left of the time."""
+    """Whatever the clock: after three traces no time is left."""
     monkeypatch.setattr(PairedTracer, "seconds_left", property(lambda tracer: 1.0 if tracer._done < 3 else -1.0))
     written = tmp_path / "required.toml"
     arguments = ["explain", "prototype", "--photons", "8192", "--max-seconds", "500", "-o", str(written)]

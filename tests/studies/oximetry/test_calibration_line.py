@@ -34,7 +34,7 @@ def test_a_line_is_fitted_with_the_standard_error_of_its_noise():
     assert miss[0] < 1e-9 and calibrate_curve(SO2, ratio, 2)[1][0] < 1e-9
 
 
-def test_a_curve_is_read_backwards_and_goes_on_beyond_its_ends():
+def test_a_curve_is_inverted_and_extrapolated_beyond_its_ends():
     curve = 1.1 - SO2 + 0.2 * (SO2 - 0.8) ** 2
     assert np.allclose(saturation_of(curve, SO2, curve), SO2)
     beyond = saturation_of([curve[0] + 0.1, curve[-1] - 0.1], SO2, curve)
@@ -48,7 +48,7 @@ def test_a_curve_that_rises_with_saturation_is_read_as_well():
     assert saturation_of(1.02, SO2, curve) == pytest.approx(1.01, abs=1e-3)
 
 
-def test_what_both_lines_miss_is_the_nearer_ones_error():
+def test_the_bias_from_two_published_lines_is_that_from_the_nearer_one():
     assert abs(literature_bias(np.array([0.52]), 0.97)[0]) < 1e-9
     assert abs(literature_bias(np.array([(97.0 - MEASURED[0]) / MEASURED[1]]), 0.97)[0]) < 1e-9
     assert literature_bias(np.array([0.17]), 0.97)[0] > 7.0

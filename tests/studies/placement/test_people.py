@@ -108,7 +108,7 @@ def test_a_person_is_read_as_a_finger_with_the_same_values(evaluated):
 
 
 @pytest.mark.long
-def test_who_cannot_wear_a_layout_resolves_nothing_with_it(evaluated, monkeypatch):
+def test_people_who_cannot_wear_a_layout_resolve_nothing_with_it(evaluated, monkeypatch):
     base, rules, layouts, cache, objective, scores = evaluated
     near, far = (score.force.fingers_n[0] for score in scores)
     assert near[3] < 0.2 and far[3] > 5 and (far[:3] < 0.5).all()

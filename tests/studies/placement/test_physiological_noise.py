@@ -148,7 +148,7 @@ def test_the_noise_budget_of_one_photodiode_includes_what_it_cannot_distinguish(
     assert (row["split"] > 0.99 * total_n) == (count == 1) and row["floor"] == floor_n
 
 
-def test_a_body_that_becomes_still_leaves_the_electronics():
+def test_a_body_that_becomes_still_leaves_the_noise_of_the_electronics():
     still = _point(None)
     alone = information.total_information([_read(still)])
     assert alone.shape == (3,)
@@ -162,7 +162,7 @@ def test_a_body_that_becomes_still_leaves_the_electronics():
         assert ratio > 5 if strength == 1e-3 else ratio == pytest.approx(1.0, abs=1e-4)
 
 
-def test_light_without_end_resolves_to_the_noise_floor_of_the_waves():
+def test_unlimited_light_resolves_to_the_noise_floor_of_the_waves():
     """The body's part is the same for all layouts that read both zones, and adds to the electronics' in squares."""
     point = _point(1e-4 * np.array([[7.0, 0.5], [6.0, 0.7]]))
     floor_n = information.physiological_noise_force_n(point)
@@ -177,7 +177,7 @@ def test_light_without_end_resolves_to_the_noise_floor_of_the_waves():
     assert information.physiological_noise_force_n(_point(None)) == 0.0
 
 
-def test_a_touch_of_known_split_stands_apart_from_waves_of_one_shape():
+def test_a_touch_of_given_split_is_distinguished_from_waves_of_one_shape():
     """One shape and one force: two unknowns, which two zones determine; its resolution is that of the part of the touch
     that is not along the wave, whatever the wave's height.
     """

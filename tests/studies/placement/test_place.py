@@ -645,7 +645,7 @@ def test_stored_light_is_placed_again_without_a_photon(computed, fewer_photons, 
 
 
 @pytest.mark.slow
-def test_one_layout_serves_digits_and_bloods_alike(chosen_jit, untraced_tolerances):
+def test_one_layout_is_evaluated_for_several_digits_and_bloods(chosen_jit, untraced_tolerances):
     """The worst of three fingers ranks; blood alone shares the trace of its digit: two digits on two boards."""
     cases = "".join(
         f'[[placement.fingers]]\nname = "{name}"\n{more}\n'
