@@ -682,7 +682,7 @@ def test_the_tab_key_completes_commands_and_formats(folder):
     done = spawn("--install-completion", "--shell", "bash", env=environment)
     assert done.returncode == 0, done.stderr
     script = next(path for path in folder.rglob("nailoptics") if "completion" in str(path))
-    ask = """. "$0"; COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); _nailoptics; echo "${COMPREPLY[*]}" """
+    complete = """. "$0"; COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); _nailoptics; echo "${COMPREPLY[*]}" """
     for words, result in ((["ex"], {"explain", "explore", "export"}), (["export", "s", "--format", "sp"], {"spice"})):
-        done = subprocess.run(["bash", "-c", ask, script, "nailoptics", *words], capture_output=True, text=True)
+        done = subprocess.run(["bash", "-c", complete, script, "nailoptics", *words], capture_output=True, text=True)
         assert set(done.stdout.split()) == result, done.stderr

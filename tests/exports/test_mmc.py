@@ -155,8 +155,8 @@ def pmmc() -> None:
     """
     if importlib.util.find_spec("pmmc") is None:
         pytest.skip("pmmc is missing: pip install pmmc")
-    ask = "import pmmc; assert pmmc.gpuinfo()"
-    if subprocess.run([sys.executable, "-c", ask], capture_output=True, timeout=120).returncode:
+    has_gpu = "import pmmc; assert pmmc.gpuinfo()"
+    if subprocess.run([sys.executable, "-c", has_gpu], capture_output=True, timeout=120).returncode:
         pytest.skip("pmmc finds no OpenCL device, not even the processor: install PoCL (pocl-opencl-icd)")
 
 

@@ -178,11 +178,11 @@ def test_rays_are_read_part_by_part_and_patch_by_patch_as_all_at_once():
         sums = np.zeros_like(expected)
         np.add.at(sums, cell.patch, cell.weight[:, None, None] * left)
         expected += weight * sums / cell.rays[:, None, None]
-    look = Viewing(gloss=False)
-    at_once = together.read(states, look).reflectance
+    viewing = Viewing(gloss=False)
+    at_once = together.read(states, viewing).reflectance
     assert at_once.shape == (1 + GROUPS, 3, 2, len(WAVELENGTHS_NM))
     assert at_once[0] == pytest.approx(expected, rel=1e-5, abs=1e-9)
-    by_part = parts[0].read(states, look).with_more(parts[1].read(states, look)).reflectance
+    by_part = parts[0].read(states, viewing).with_more(parts[1].read(states, viewing)).reflectance
     assert by_part == pytest.approx(at_once, rel=1e-5, abs=1e-9)
     two = replace(together, patches=(patches[2], patches[0]), light=tuple(c.select([2, 0]) for c in together.light))
-    assert two.read(states, look).reflectance == pytest.approx(at_once[:, [2, 0]], rel=1e-5, abs=1e-9)
+    assert two.read(states, viewing).reflectance == pytest.approx(at_once[:, [2, 0]], rel=1e-5, abs=1e-9)

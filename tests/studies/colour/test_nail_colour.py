@@ -26,12 +26,12 @@ PATCHES = (Patch((0.0, 0.0), (4.0, 8.0)), Patch((0.0, -7.5), (4.0, 1.5)))
 # of five groups of 120 people (IADR 2009, Miami, abstract 120461).
 YUN_LAB = np.array([[64.15, 8.96, 18.34], [4.86, 2.65, 2.39]])
 IADR_LAB = [[52.5, 17.0, 18.9], [37.7, 17.2, 14.7], [49.4, 22.0, 12.3], [41.5, 25.5, 13.3], [26.7, 14.6, 14.7]]
-LOOK = Viewing(lit_by="sky", gloss=False)
+VIEWING = Viewing(lit_by="sky", gloss=False)
 # A nail plate as moist as on a living finger: the bed is visible through it.
 SCENE = parse_scene(SMALL_FINGER_BEST.replace("[finger]", "[finger]\nplate_scattering = 0.3"))
 
 
-def without_spread(scene):
+def without_priors(scene):
     """The scene without prior uncertainty, which would take rays of its own."""
     return scene.model_copy(update={"priors": scene.priors.model_copy(update={"spread": False})})
 
@@ -50,7 +50,7 @@ def rays(chosen_jit):
 def test_reflectance_between_the_nodes_is_that_of_a_fresh_trace(rays, jit_backend):
     """Rays of four wavelengths, dimmed and interpolated, against rays of this one with its own scattering."""
     rest = np.full((1, 2), 0.03)
-    read = rays.read(rest, LOOK).reflectance
+    read = rays.read(rest, VIEWING).reflectance
     for wavelength_nm in (450.0, 545.0, 680.0):
         bare = NailReflectance(SCENE)
         at_rest = optics.absorption(bare.scene, wavelength_nm)[0]
@@ -68,7 +68,7 @@ def test_reflectance_between_the_nodes_is_that_of_a_fresh_trace(rays, jit_backen
 @pytest.mark.long
 def test_blood_reddens_and_melanin_darkens_as_was_measured(rays):
     viewer = Viewer()
-    lab = viewer.lab(rays.read([[0.02, 0.02], [0.04, 0.04]], LOOK).reflectance[0])
+    lab = viewer.lab(rays.read([[0.02, 0.02], [0.04, 0.04]], VIEWING).reflectance[0])
     step = lab[0, 1] - lab[0, 0]
     # Takiwaki 1998: haemoglobin -0.74, melanin about -2.8.
     assert step[1] > 1 and -1.0 < step[0] / step[1] < -0.5
@@ -78,7 +78,7 @@ def test_blood_reddens_and_melanin_darkens_as_was_measured(rays):
     def skin(melanin):
         finger = rays.scene.finger.model_copy(update={"melanin_fraction": melanin})
         scene = rays.scene.model_copy(update={"finger": finger, "blood": blood})
-        return viewer.lab(rays.read([[0.03, 0.03]], LOOK, scene=scene).reflectance)[:, 1, 0]
+        return viewer.lab(rays.read([[0.03, 0.03]], VIEWING, scene=scene).reflectance)[:, 1, 0]
 
     tanned = skin(0.03) - skin(0.005)
     slope = tanned[:, 0] / tanned[:, 1]
@@ -102,7 +102,7 @@ def test_a_finger_that_absorbs_nothing_sends_back_almost_all_light(jit_backend):
 def test_a_colours_standard_error_is_calibrated(jit_backend):
     """Twenty seeds with few rays: standard errors are those of the repeats, and 95 % intervals hold the mean."""
     result = [
-        walked(seed, 8_000, shares=SHARES).read([[0.03, 0.03], [0.05, 0.02]], LOOK).reflectance for seed in range(20)
+        walked(seed, 8_000, shares=SHARES).read([[0.03, 0.03], [0.05, 0.02]], VIEWING).reflectance for seed in range(20)
     ]
     viewer = Viewer()
     lab = np.array([viewer.lab(one)[0] for one in result])
@@ -122,7 +122,7 @@ def test_a_colours_standard_error_is_calibrated(jit_backend):
 
 @pytest.mark.long
 def test_each_place_gets_the_rays_that_its_colour_and_its_change_need(jit_backend):
-    result = colour(without_spread(SCENE), forces_n=(0.0, 4.0), tolerance=1.2, change_tolerance=0.6, seed=3)
+    result = colour(without_priors(SCENE), forces_n=(0.0, 4.0), tolerance=1.2, change_tolerance=0.6, seed=3)
     # Two rounds foresee the errors to some per cent; only what is reached ends them.
     assert float(result.colour_stderr.max()) <= 1.2 and float(result.delta_e_2000_stderr.max()) <= 0.6
     assert "lab_spread" not in result
@@ -130,7 +130,7 @@ def test_each_place_gets_the_rays_that_its_colour_and_its_change_need(jit_backen
 
 def test_a_stored_colour_is_the_same_and_walks_no_ray(jit_backend, tmp_path, monkeypatch):
     stores = [LightStore(tmp_path / "light")]
-    quiet = without_spread(SCENE)
+    quiet = without_priors(SCENE)
     first = colour(quiet, forces_n=(0.0, 4.0), photons=8_000, seed=4, stores=stores)
     monkeypatch.setattr(NailReflectance, "_batch", None)
     again = colour(quiet, forces_n=(0.0, 4.0), photons=8_000, seed=4, stores=stores)
@@ -171,7 +171,7 @@ def test_priors_span_peoples_nails_and_skin(jit_backend, coarse_cells, tmp_path)
 
 @pytest.mark.long
 def test_the_nail_reddens_and_then_whitens_from_the_tip_as_in_the_paper(jit_backend):
-    scene = without_spread(load_scene("scenes/nail_colour.toml"))
+    scene = without_priors(load_scene("scenes/nail_colour.toml"))
     result = colour(scene, photons=60_000, seed=2)
     band = result.white_band_mm.values
     # A white band from 2 N on at the earliest, no longer than the nail beyond the bone and its edge.
@@ -192,7 +192,7 @@ def test_the_nail_reddens_and_then_whitens_from_the_tip_as_in_the_paper(jit_back
 @pytest.mark.long
 def test_a_lamp_at_45_degrees_gives_nearly_the_same_colour(rays):
     viewer, rest = Viewer(), [[0.03, 0.03]]
-    sky = viewer.lab(rays.read(rest, LOOK).reflectance)
+    sky = viewer.lab(rays.read(rest, VIEWING).reflectance)
     lamp = viewer.lab(rays.read(rest, Viewing(lit_by="lamp", gloss=False)).reflectance)
     assert delta_e_2000(sky[0], lamp[0]).max() < 4
     # Gloss makes everything lighter and paler.

@@ -250,9 +250,9 @@ def test_a_prediction_reports_how_wide_its_intervals_of_touches_are(subject: Sub
     assert summary["touch_rms_n"] > summary["rms_n"] and 0.8 < summary["touch_coverage_95"] <= 1.0
     assert not any("upper bound" in one for one in summary["warnings"])
     # Of touches past closure: all are covered, by uninformative intervals.
-    open_above = prediction_summary(predict(subject, _record(table, _cycle(4.0), "proximal", seed=9)))
-    assert open_above["half_width_n"] == np.inf
-    assert any("have no upper bound" in one for one in open_above["warnings"])
+    unbounded = prediction_summary(predict(subject, _record(table, _cycle(4.0), "proximal", seed=9)))
+    assert unbounded["half_width_n"] == np.inf
+    assert any("have no upper bound" in one for one in unbounded["warnings"])
 
 
 def test_a_calibration_with_large_errors_warns_here_and_in_predictions(subject: Subject, table: ReadingTable) -> None:

@@ -32,9 +32,9 @@ def risen_v(one: Subject, pressure: np.ndarray) -> np.ndarray:
 def other(one: Subject, off: np.ndarray) -> Subject:
     """The calibration with this error."""
     gain = one.readings.gain
-    factors_ln, off_gain, offset_v, *slopes = np.split(off, len(NAMES) + len(gain) * np.arange(LINEAR))
+    factors_ln, gain_error, offset_v, *slopes = np.split(off, len(NAMES) + len(gain) * np.arange(LINEAR))
     light = one.light.steeper(np.stack(slopes, axis=1) / gain[:, None], float(one.person.rest_blood))
-    readings = replace(one.readings, gain=gain + off_gain)
+    readings = replace(one.readings, gain=gain + gain_error)
     return replace(one, light=light, factors=one.factors * np.exp(factors_ln), readings=readings)
 
 

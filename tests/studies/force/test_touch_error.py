@@ -67,7 +67,7 @@ def test_the_recursion_is_least_squares_over_all_samples(scene: Scene) -> None:
             for joint in (model, truth):
                 joint[k, :, j] = transition @ joint[k - 1, :, j]
                 joint[j, :, k] = joint[k, :, j].T
-    joint_model, joint_truth = (joint.reshape((samples * size,) * 2) for joint in (model, truth))
+    joint_model, joint_true = (joint.reshape((samples * size,) * 2) for joint in (model, truth))
     rows, variance, true_variance = [], [], []
     from_rest, moved = short._steps[0].blood
     for k, step in enumerate(short._steps):
@@ -85,7 +85,7 @@ def test_the_recursion_is_least_squares_over_all_samples(scene: Scene) -> None:
         design, at = np.array(rows).reshape(len(rows), -1), slice(k * size + 3, k * size + 5)
         gain = joint_model[at] @ design.T @ np.linalg.inv(design @ joint_model @ design.T + np.diag(variance))
         error = np.eye(samples * size)[at] - gain @ design
-        expected = np.diag(error @ joint_truth @ error.T + gain * true_variance @ gain.T) + (error @ made.ravel()) ** 2
+        expected = np.diag(error @ joint_true @ error.T + gain * true_variance @ gain.T) + (error @ made.ravel()) ** 2
         assert recursion[k] == pytest.approx(expected, rel=1e-6)
 
 

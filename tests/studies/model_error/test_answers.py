@@ -15,7 +15,7 @@ def level(name: str, *, bound: float = 0.0, signal: float = 0.0, noise: float = 
 
 FULL = level(REFERENCE)
 DIM = level("dim", bound=0.3, signal=0.1, noise=0.01, setup=0.02)
-UNKNOWN = level("unknown", bound=math.inf)
+UNKNOWN_BIAS = level("unknown", bound=math.inf)
 
 
 def test_bias_and_standard_error_add_in_squares():
@@ -30,17 +30,17 @@ def test_bias_and_standard_error_add_in_squares():
 
 
 def test_a_level_of_unknown_bias_reaches_no_error():
-    assert UNKNOWN.seconds(0.9) == math.inf and UNKNOWN.relative_error(0.9) == 0
+    assert UNKNOWN_BIAS.seconds(0.9) == math.inf and UNKNOWN_BIAS.relative_error(0.9) == 0
     assert DIM.photon_seconds(0.31) < 0.02 and DIM.photon_seconds(0.29) == math.inf
 
 
 def test_the_fastest_within_an_error():
     cheap = level("cheap", bound=0.03, noise=0.03)
-    levels = [FULL, cheap, UNKNOWN, DIM]
+    levels = [FULL, cheap, UNKNOWN_BIAS, DIM]
     assert fastest(levels, 0.4) is DIM and fastest(levels, 0.05) is cheap
     assert fastest(levels, 0.02) is FULL and FULL.seconds(0.02) == pytest.approx(2 + 25)
     assert FULL.relative_error(0.02) == pytest.approx(0.02)
-    assert fastest([cheap, UNKNOWN], 0.02) is None
+    assert fastest([cheap, UNKNOWN_BIAS], 0.02) is None
 
 
 def test_the_usual_level_stays_within_the_noise_of_costs():

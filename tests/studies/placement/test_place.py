@@ -178,8 +178,8 @@ def test_more_photodiodes_than_places_have_no_layout():
     """Rationale: where photodiodes are fixed, there may be no room for those of a longer front. Expected: an infinite
     score of no places, and without any place the bound is the score of what is fixed."""
     none = sites.PhotodiodePlaces((), (), 0, (0.5, 0.5))
-    ask = {"count": 2, "score": lambda total: total.sum((0, -1))}
-    assert row_design.coordinate_exchange(np.zeros((1, 0, 3)), none, **ask) == ([], np.inf)
+    options = {"count": 2, "score": lambda total: total.sum((0, -1))}
+    assert row_design.coordinate_exchange(np.zeros((1, 0, 3)), none, **options) == ([], np.inf)
     given, rules = np.array([[4.0, 9.0, 1.0]]), Placement(photodiodes=2, rank_by="worst")
     objective = Objective(rules, [AT])
     bound, weights = lower_bound(np.zeros((1, 0, 3)), none, [], objective, given=given)
