@@ -53,7 +53,7 @@ class Traced(TraceOptions):
     """Options of every command that traces light."""
 
     photons: Annotated[int | None, Parameter(converter=_whole)] = None
-    """Photons per LED, in place of a tolerance."""
+    """Photons per LED (or wavelength, where none shines), in place of a tolerance."""
     json: Json = False
 
 

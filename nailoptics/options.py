@@ -49,9 +49,9 @@ class TraceOptions:
     relative_error: float | None = None
     """Relative standard error that every reading must reach."""
     max_seconds: float | None = None
-    """Wall time after which tracing ends with what there is. [s]"""
+    """Wall time, of which a command traces for nine tenths and takes what there is. [s]"""
     photons: int | None = None
-    """Photons per LED, in place of a tolerance."""
+    """Photons per LED (or wavelength, where none shines), in place of a tolerance."""
     store: bool = True
     """Keep what is traced on disk, and take what was traced before: same seed, same bits."""
 

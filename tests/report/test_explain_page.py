@@ -39,7 +39,8 @@ def test_the_page_begins_with_the_largest_effect_and_its_error(result, tmp_path)
     paths = EXPLANATION.write(result, tmp_path)
     page = paths["report"].read_text(encoding="utf-8")
     head, body = page.split("</header>")
-    assert "<h1>Plate &lt;absorption&gt; changes the reading of LED ir on photodiode proximal.6 by −62.0" in head
+    assert "<h1>Plate &lt;absorption&gt; (other): the reading of LED ir" in head
+    assert "on photodiode proximal.6 changes by −62.0" in head
     assert all(f"<td>{change}</td>" in body for change in ("−62.0 ± 1.0", "+50.0 ± 2.0", "−20.0 ± 1.0"))
     assert "[light] left_out = [&quot;bone&quot;]" in body and "changes no reading by more than 0.70 %" in body
     assert "though it matters: cover." in body and "more photons are needed: index steps, ambient light" in body
@@ -52,7 +53,7 @@ def test_an_undecided_effect_is_no_headline_beside_a_significant_one(result, tmp
     assert noisy.matters == "undecided"
     for shown, name in (((noisy, *result.effects), "Plate &lt;absorption&gt;"), ((noisy,), "Forward scattering")):
         page = EXPLANATION.write(replace(result, effects=shown), tmp_path)["report"]
-        assert f"<h1>{name} changes" in page.read_text(encoding="utf-8")
+        assert f"<h1>{name} (other): the reading" in page.read_text(encoding="utf-8")
 
 
 def test_the_picture_names_every_estimated_effect(result):

@@ -48,7 +48,7 @@ def _by_force(result: xr.Dataset) -> list[dict[str, str]]:
     for s, force_n in enumerate(result.force_n.values):
         largest = result.isel(state=s, place=int(np.argmax(result.delta_e_2000.values[:, s])))
         row = {"Force [N]": f"{force_n:g}"} | _lab(middle.isel(state=s), "lab")
-        row["Difference to rest"] = estimated(largest, "delta_e_2000") if s else "0"
+        row["Largest difference to rest [CIEDE2000]"] = estimated(largest, "delta_e_2000") if s else "0"
         rows.append(row | {"White band [mm]": estimated(result.isel(state=s), "white_band_mm")})
     return rows
 

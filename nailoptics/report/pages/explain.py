@@ -43,7 +43,7 @@ def _title(known: list[Effect]) -> str:
     largest = next((effect for effect in known if effect.matters == "yes"), known[0])
     what, where = ("the signal" if largest.of == "signal" else "the reading"), largest.photodiode.split(" on ", 1)
     name, of = largest.name[:1].upper() + largest.name[1:], " on photodiode ".join(where)
-    return f"{name} changes {what} of LED {of} by {_change(largest)}\u00a0%"
+    return f"{name} ({largest.changed_to}): {what} of LED {of} changes by {_change(largest)}\u00a0%"
 
 
 def _change(effect: Effect) -> str:
@@ -81,10 +81,11 @@ def _rows(result: Explanation) -> list[dict[str, str]]:
         known = math.isfinite(effect.change)
         of = effect.photodiode + (" (signal)" if effect.of == "signal" else "")
         signal = "–" if effect.modulation_bound is None else significant(100 * effect.modulation_bound, 2)
-        row = {"Effect": effect.name, "In scene": "unknown" if effect.unknown else "yes" if effect.modelled else "no"}
+        row = {"Effect": effect.name, "Changed to": effect.changed_to}
+        row |= {"In scene": "unknown" if effect.unknown else "yes" if effect.modelled else "no"}
         row |= {"Change of reading [%]": _change(effect) if known else "not known", "of": of if known else "–"}
         row["Upper bound [%]"] = significant(100 * effect.bound, 2) if math.isfinite(effect.bound) else "–"
-        row |= {"Signal, upper bound [%]": signal, "Matters": effect.matters, "Changed to": effect.changed_to}
+        row |= {"Signal, upper bound [%]": signal, "Matters": effect.matters}
         rows.append(row)
     return rows
 

@@ -175,8 +175,8 @@ def response(scene, values, at):
 
 def test_the_page_states_how_many_tie():
     rows = [{"layout": name, "rank": rank} for name, rank in (("a", 1), ("b", 1), ("c", 1), ("d", 4))]
-    assert _tied(rows).startswith("Proposed: a, the simplest of 3 layouts that tie (rank 1)")
-    assert "Another seed" in _tied(rows)
+    assert _tied(rows).startswith("Proposed: a, the simplest of those worse than the best by less than twice 2 %.")
+    assert "3 layouts tie (rank 1)" in _tied(rows) and "Another seed" in _tied(rows)
     assert _tied([rows[0], rows[3]]) == "No other ties with the first."
 
 
