@@ -60,6 +60,11 @@ def fraction(name: str, value: ArrayLike) -> Array:
     return _where(lambda x: (x >= 0) & (x <= 1), name, value, "is not a fraction; choose from 0 to 1")
 
 
+def tolerance(name: str, value: ArrayLike) -> float:
+    """The value as one float; InputError unless it lies above 0 and below 1."""
+    return float(_where(lambda x: (x > 0) & (x < 1), name, value, "must lie above 0 and below 1; give 0.05 for 5 %"))
+
+
 def _where(is_valid: Callable[[Array], NDArray[np.bool_]], name: str, value: ArrayLike, rule: str) -> Array:
     array = _floats(name, value)
     if not (valid := is_valid(array)).all():

@@ -1,7 +1,6 @@
 """The command line: parse, call, print."""
 
 import gc
-import math
 import sys
 from contextlib import suppress
 from dataclasses import dataclass
@@ -11,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 
-from . import terminal
-from .errors import InputError, NotReachedError, RequirementError, WriteError, exit_message
+from . import checks, terminal
+from .errors import InputError, NotReachedError, RequirementError, exit_message
 from .io import block_dask_import, check_writable, to_json, write_text
 from .options import FormatName, Illuminant, Over, TraceOptions
 from .terminal import finish, say, shown, traced
@@ -241,8 +240,8 @@ def compare(
     from .report.pages.compare import COMPARISON, lines, verdict_line
     from .studies.compare import compare as study, verdict
 
-    if require is not None and not 0 < require < math.inf:
-        raise InputError(f"--require {require:g} must be a fraction of the swing above 0, such as 0.05.")
+    if require is not None:
+        checks.tolerance("--require", require)
     folder = _results(options.output, scene, COMPARISON)
     result, unmet = traced(study, _load(scene, options), over=over, options=options)
     paths = COMPARISON.write(result, folder)
@@ -428,12 +427,9 @@ def check(scene: ScenePath, *, json_: Json = False) -> None:
 
     with terminal.collected_warnings() as warnings:
         loaded = load_scene(scene)
-    try:
-        checked = study(loaded)
-        checked["warnings"] = warnings + checked["warnings"]
-        summary = {"scene": scene} | CHECK.summary(checked)
-    except InputError as error:
-        raise InputError(f"{scene}: {error}") from None
+    checked = study(loaded)
+    checked["warnings"] = warnings + checked["warnings"]
+    summary = {"scene": scene} | CHECK.summary(checked)
     finish({}, summary, CHECK.lines(checked, summary), json_)
 
 
@@ -459,13 +455,7 @@ def export(
     """
     from .exports.formats import export as write
 
-    try:
-        paths = write(scene, output, format=format_, voxel_mm=voxel_mm, folder=Path(scene).parent)
-    except WriteError:
-        raise
-    except InputError as error:
-        raise InputError(f"{scene}: {error}") from None
-    finish(paths, {}, [], json_)
+    finish(write(scene, output, format=format_, voxel_mm=voxel_mm, folder=Path(scene).parent), {}, [], json_)
 
 
 @app.command

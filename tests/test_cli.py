@@ -124,6 +124,13 @@ BAD_COMMANDS = {
     "a mesh of a phantom": (["export", "phantom.toml", "-o", "deep/phantom.glb"], "phantom"),
     "a touch on a phantom": (["simulate", "phantom.toml", "-o", "deep/results"], "phantom"),
     "a transfer of volpath": (["trace", "prototype", "--backend", "scalar", "-o", "deep/transfer.nc"], "volpath"),
+    "a requirement in percent": (
+        ["compare", "prototype", "--require", "5"],
+        "--require = 5 must lie above 0 and",
+    ),
+    "a requirement of all": (["compare", "prototype", "--require", "1"], "give 0.05 for 5 %"),
+    "a tolerance of 0": (["tradeoff", "prototype", "--tolerance", "0"], "must lie above 0 and below 1; give 0.05"),
+    "a tolerance in percent": (["explain", "prototype", "--tolerance", "2"], "must lie above 0 and below 1; give 0.05"),
     "an unknown set": (["figures", "-o", "deep/pictures", "--set", "nonsense"], "nonsense"),
 }
 

@@ -273,9 +273,10 @@ def _half_width(half_width_n: float) -> str:
 
 
 def _prediction_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
-    upper = f"no upper bound above {summary['open_above_n']:.2f} N (vessels may be closed)"
+    share, above = 100 * np.isinf(result.force_high_n.values).mean(), f"{summary['open_above_n']:.2f} N"
+    unbounded = f"; {share:.2g} % of them, above {above}, without upper bound (vessels may be closed)" if share else ""
     lacking = f", {summary['incomplete']} of them lack a reading" if summary["incomplete"] else ""
-    lines = [f"{result.sizes['time']} samples{lacking}; {upper}"]
+    lines = [f"{result.sizes['time']} samples{lacking}{unbounded}"]
     if math.isfinite(summary["rms_n"]):
         lines.append(f"rms {1e3 * summary['rms_n']:.0f} mN, {summary['coverage_95']:.0%} inside their 95 % interval")
     if math.isfinite(summary["touch_rms_n"]):

@@ -12,7 +12,7 @@ from ...studies.oximetry.recording import spo2_csv
 from .. import maps, style
 from ..files import Report, run_summary
 from ..html import document, figure, section, small, table, texts
-from ..numbers import aligned, estimated, plain, polynomial, significant, with_error, with_stderr
+from ..numbers import ASCII, aligned, estimated, plain, polynomial, significant, with_error, with_stderr
 
 TEXTS = texts("oximeter")
 
@@ -234,9 +234,11 @@ def oximeter_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
     index = ", ".join(f"{led} {100 * value:.3f} %" for led, value in best["perfusion_index"].items())
     lines.append(f"best photodiode, by its noise: {summary['best']}; perfusion index {index}")
     for name, curve in best["disturbances"].items():
-        worst, about = max(curve["spo2_off"], key=abs), result[name].attrs
+        off, stderr, about = result[f"off_by_{name}"], result[f"off_by_{name}_stderr"], result[name].attrs
+        largest = abs(off).fillna(0.0).argmax(...)
+        bias = with_error(float(off[largest]), float(stderr[largest]), sign=True).translate(ASCII)
         ends = f"{curve['values'][0]:g} to {curve['values'][-1]:g} {about['units']}".removesuffix(" 1")
-        lines.append(f"  {about['long_name']}, {ends}: bias at most {worst:+.2f} %")
+        lines.append(f"  {about['long_name']}, {ends}: bias at most {bias} % ({off[largest].photodiode.item()})")
     return lines
 
 

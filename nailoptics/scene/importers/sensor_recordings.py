@@ -212,7 +212,7 @@ def check_known(titles: Sequence[str], names: Sequence[str], label: str) -> None
     """Raise InputError unless the readings of a recording are just those of a board."""
     missing, unknown = [n for n in names if n not in titles], [n for n in titles if n not in names]
     if missing:
-        why = f"this board's readings are {', '.join(names)}; take the recording's own board."
+        why = f"this board's readings are {', '.join(names)}; give a recording of their volts, or take its own board."
         raise InputError(f"{label}: has no column {missing[0]!r}; {why}")
     if unknown:
         why = "rename it or leave it out."

@@ -16,7 +16,7 @@ from ...light.tracing import StageProgress
 from ...options import Requested, TraceOptions
 from ...scene import Scene, SceneIn, as_scene, digest, to_toml
 from ...scene.base import MOST_FORCE_N
-from ...scene.importers.sensor_recordings import IN_NEWTONS, Recording, read_sensor_recording
+from ...scene.importers.sensor_recordings import IN_NEWTONS, Recording, check_known, read_sensor_recording
 from ...scene.protocol import CLOSING_N, FIRST_REST_S, LEAST_TOUCHES, LEVEL_N, SIDE_S
 from ...sensor import electronics
 from ...variables import variable
@@ -214,6 +214,8 @@ QUICK_N, QUICK_S, QUICK_TOUCHES = 0.15, 0.3, 2
 def checked(recordings: Sequence[Recording], scene: Scene) -> list[Recording]:
     """The recordings with the scene's readings and their sites; raises InputError unless they can calibrate."""
     names = reading_names(scene)
+    for recording in recordings:
+        check_known(recording.names, names, recording.name)
     # Force and length first: a reading that no touch moves says nothing of its wiring.
     for part in (part for recording in recordings for part in worn_at_once(recording)):
         with_site(replace(part, names=(), volts=part.volts[:0]), scene)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import block_diag
 
-from ... import geometry
+from ... import checks, geometry
 from ...errors import InputError, NotReachedError, as_far_as_reached
 from ...hemodynamics.for_scene import steady_blood
 from ...hemodynamics.touch import largest_force_n
@@ -323,5 +323,4 @@ def check_study(scene: Scene, tolerance: float, study: str, why: str) -> None:
     """Raise InputError where a study of a scene's model has nothing to work on."""
     if scene.finger is None:
         raise InputError(f"{study} needs a [finger] scene; a [phantom] {why}.")
-    if not 0 < tolerance < 1:
-        raise InputError(f"tolerance = {tolerance:g} must lie between 0 and 1.")
+    checks.tolerance("tolerance", tolerance)

@@ -134,6 +134,11 @@ def test_what_is_no_recording_is_refused_by_both(
 CALIBRATING = [
     (lambda text: text.replace("force_n", "proximal_pressure_pa"), "has no column force_n"),
     (_column("force_n", lambda cell, k: "" if k == 7 else cell), "line 9: force_n is empty"),
+    # What predict wrote: it has no volts, and its force no rest.
+    (
+        lambda text: "time_s,force_n,force_low_n\n" + "".join(f"{0.02 * k},0.5,0.4\n" for k in range(400)),
+        f"has no column '{FIRST}'; this board's readings are",
+    ),
     (_column("force_n", lambda cell, k: "0"), "constant at 0 N; press the finger"),
     # A rest alone, in which a quiet reading does not change.
     (

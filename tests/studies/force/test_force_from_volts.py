@@ -396,7 +396,12 @@ def test_gaps_are_bridged(subject: Subject, table: ReadingTable) -> None:
     holed = prediction_summary(estimated := predict(subject, replace(recorded, volts=volts)))
     lack = int(np.isnan(volts).any(0).sum())
     assert 0 < lack == holed["incomplete"] and whole["incomplete"] == 0
-    assert PREDICTION.lines(estimated, holed)[0].startswith(f"{volts.shape[1]} samples, {lack} of them lack a reading;")
+    assert PREDICTION.lines(estimated, holed)[0].startswith(f"{volts.shape[1]} samples, {lack} of them lack a reading")
+    for share, words in ((0, ""), (4, "; 50 % of them, above ")):
+        unbounded = estimated.isel(time=slice(8)).load()
+        unbounded.force_high_n[:] = np.where(np.arange(8) < share, np.inf, 1.0)
+        said = PREDICTION.lines(unbounded, holed)[0].removeprefix(f"8 samples, {lack} of them lack a reading")
+        assert said.startswith(words) and ("without upper bound" in said) == bool(words) == bool(said)
     assert holed["consistent"]
     assert holed["rms_n"] < whole["rms_n"] + 0.05
 

@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -102,7 +103,14 @@ def test_the_command_writes_and_prints_its_results(computed, undrawn, monkeypatc
     assert json.loads(capsys.readouterr().out)["best"] == computed.attrs["best"]
     assert {path.name for path in folder.iterdir()} == set(OXIMETER.files) and len(worn.read_text().splitlines()) > 1000
     assert run(["oximeter", "pulse_oximeter", "-o", str(folder)]) == 0
-    assert "sunlight with the dark slot left out, 0 to 100000 lx: bias at most" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    for name in computed.attrs["disturbances"]:
+        bias = computed[f"off_by_{name}"]
+        (line,) = (one for one in out.splitlines() if one.startswith(f"  {computed[name].attrs['long_name']}, "))
+        off, photodiode = re.search(r"bias at most ([-+][\d.]+)(?: \+- [\d.]+)? % \((.+)\)", line).groups()
+        there = bias.sel(photodiode=photodiode).values
+        assert np.abs(there).max() == abs(bias).max() and np.abs(there - float(off)).min() <= 0.1 * np.abs(there).max()
+    assert "sunlight with the dark slot left out, 0 to 100000 lx: bias at most" in out
     assert run(["oximeter", "pulse_oximeter", "-o", str(folder), "--readings", str(worn)]) == 0
     assert_listed(tmp_path, "oximeter.nc", "oxygen.nc")
 
