@@ -311,7 +311,7 @@ def validate(*, data: Path | None = None, output: File = None, options: ByPhoton
 def explore(scene: ScenePath, *, output: Output = Path("explore.html"), options: NoTolerance = NO_TOLERANCE) -> None:
     """Make an interactive page: drag LEDs and photodiodes, readings update, from light traced once.
 
-    It is one file, which any browser opens from disk. --photons is for each wavelength: the scene's, 660 and 940 nm.
+    It is one file, which any browser opens from disk. --photons: of each of the scene's wavelengths; of others half.
 
     Args:
         output: Page to write.

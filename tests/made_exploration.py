@@ -9,7 +9,6 @@ from nailoptics.scene import Scene
 from nailoptics.sensor.ambient import SOURCES
 from nailoptics.studies.exploration.drawn_people import QUANTILES, DrawnPerson
 from nailoptics.studies.exploration.explore import (
-    AMBIENT_CELLS,
     BLOCKS,
     Exploration,
     WavelengthTable,
@@ -61,7 +60,7 @@ def made_exploration(scene: Scene, *, seed: int = 0, every: int = 2) -> Explorat
         table = WavelengthTable(led, coefficients, 0.2 * at_rest[:, 0], blocks, fluence, 1000, np.array(of_people))
         tables.append(table)
     r = layout.outline
-    nodes = tuple(np.linspace(*ends, AMBIENT_CELLS) for ends in ((r.u_min, r.u_max), (r.v_min, r.v_max)))
-    ambient = 1e-9 * rng.uniform(1, 2, (len(SOURCES), AMBIENT_CELLS, AMBIENT_CELLS))
+    nodes = tuple(np.linspace(*ends, 6) for ends in ((r.u_min, r.u_max), (r.v_min, r.v_max)))
+    ambient = 1e-9 * rng.uniform(1, 2, (len(SOURCES), BLOCKS, 6, 6))
     made = {"photons": 1000, "seed": seed}
     return Exploration(base, basis, radial, polynomial, tables, touch, (nodes[0], nodes[1]), ambient, people, made)

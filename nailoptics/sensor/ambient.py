@@ -1,6 +1,6 @@
 """Light from outside on a photodiode: by reciprocity, from the part of its own light that would leave the finger."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -78,15 +78,12 @@ def trace_ambient(
     *,
     seed: int,
     photons: int = PHOTONS,
-    check_time: Callable[[], object] = lambda: None,
 ) -> Array:
     """Trace the photocurrents of a scene's photodiodes by sources outside, through cover, edges and skin, (3, sources,
     photodiodes) float: the estimate, its standard error, and that of the bare photodiode in the open. [A]
 
     By reciprocity, from one trace of each photodiode's own light, at the longest wavelength of the scene's LEDs. Where
     none of n photons left, the standard error is that of one.
-
-    check_time : called before each trace; may raise.
     """
     elements, led = scene.layout.photodiodes, int(np.argmax([led.wavelength_nm for led in scene.leds]))
     mu_a, n = optics.absorption(scene, INSIDE_NM), optics.index_around(scene, scene.leds[led].wavelength_nm)
@@ -94,7 +91,6 @@ def trace_ambient(
     tracer = BoardTracer(scene, backend=options.backend, stores=stores, seed=seed)
     result = np.empty((3, len(sources), len(elements)))
     for j, element in enumerate(elements):
-        check_time()
         area_mm2 = element.area.area_mm2
         bare = np.stack([photocurrent_a_per_mm2(source, element.photodiode) for source in sources])
         left = tracer.leaving(j, led, photons=photons, seed=seed_of(seed, _BACK, j))

@@ -379,9 +379,16 @@ def test_jackknife_polynomial_and_ambient_light_are_pythons(unchanged: Any, expl
             slope = unchanged.evaluate("([s, zone]) => monomials(s, zone)", [state.tolist(), zone])
             assert slope == pytest.approx(((high - low) / 2e-6).tolist(), rel=1e-5, abs=1e-5)
         u, v = (float(rng.uniform(nodes[0], nodes[-1])) for nodes in explored.ambient_nodes)
-        table = RegularGridInterpolator(explored.ambient_nodes, explored.ambient_a_per_mm2[1])
-        current = unchanged.evaluate("([u, v]) => ambientCurrent({u, v, width: 0.5, length: 2}, 1)", [u, v])
-        assert current == pytest.approx(float(table([u, v])[0]), rel=1e-6)
+        # So small that it reads the place in its middle.
+        current = unchanged.evaluate(
+            "([u, v]) => ambientCurrent({u, v, width: 1e-6, length: 1e-6, turn: 0}, 1)", [u, v]
+        )
+        by_group = [
+            1e-12 * float(RegularGridInterpolator(explored.ambient_nodes, table)([u, v])[0])
+            for table in explored.ambient_a_per_mm2[1]
+        ]
+        assert current["ambientA"] == pytest.approx(np.mean(by_group), rel=1e-4)
+        assert current["ambientErrorA"] == pytest.approx(np.std(by_group, ddof=1) / len(by_group) ** 0.5, rel=1e-3)
 
 
 def test_the_section_shows_the_fluence_of_both_parts_of_the_selected_pair(shown: Any, explored: Exploration):
@@ -939,3 +946,13 @@ def test_no_script_but_its_own_runs_on_the_page(shown: Any, explored: Exploratio
     assert view.evaluate("[window.hostile, typeof workbench.result]") == [None, "object"]
     assert sum("Content Security Policy" in line for line in refused) == 2
     view.close()
+
+
+def test_another_board_than_the_scenes_and_too_few_photons_are_warned_of(shown: Any):
+    """Expected: too few photons of a made exploration's 1000; another board only where the sizes differ."""
+    warning = shown.inner_text("#board-words")
+    assert "1000 photons" in warning and "simulate" not in warning
+    shown.evaluate("tables.board.ownMm = [2.83, 9]; tables.colours[0].photons = 2e6; drawFixed();")
+    warning = shown.inner_text("#board-words")
+    assert "as simulate takes it, is 2.83 by 9.00 mm" in warning and "photons" not in warning
+    assert "not of the scene's (2.83 by 9.00 mm)" in shown.inner_text("#gain-words")

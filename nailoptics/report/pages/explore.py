@@ -11,7 +11,7 @@ from ...light.optics import line_response
 from ...scene import Led, Photodiode, Scene
 from ...scene.base import MOST_PHOTODIODES
 from ...sensor import electronics
-from ...sensor.ambient import LAMP, SOURCES, SUN
+from ...sensor.ambient import LAMP, SOURCES, SUN, photocurrent_a_per_mm2
 from ...statistics import MIN_EFFECTIVE_TERMS
 from ...studies.exploration import explore
 from ...studies.exploration.drawn_people import DRAWN, QUANTILES, RANKED_N, DrawnPerson
@@ -54,6 +54,8 @@ def _tables(exploration: explore.Exploration) -> dict[str, Any]:
     diodes = [photodiode for i, photodiode in enumerate(scene.photodiodes) if fields[i] not in fields[:i]]
     (nodes_u, nodes_v), fluence = exploration.ambient_nodes, exploration.wavelengths[0].fluence
     ambient: dict[str, Any] = {"nodesU": nodes_u, "nodesV": nodes_v, "aPerMm2": exploration.ambient_a_per_mm2}
+    photon_mm2 = scene.layout.outline.area_mm2 / exploration.wavelengths[0].photons
+    ambient |= {"photonA": [photocurrent_a_per_mm2(one, diodes[0]).sum() * photon_mm2 for one in SOURCES]}
     ambient |= {"names": [source.words for source in SOURCES], "usual": SOURCES.index(LAMP), "sun": SOURCES.index(SUN)}
     radial = {"radial": exploration.radial.log_coefficients, "nearestMm": NEAREST_MM}
     pairs = len(scene.leds) * sum(photodiode.elements for photodiode in scene.photodiodes)
@@ -77,7 +79,7 @@ def _tables(exploration: explore.Exploration) -> dict[str, Any]:
         "touch": exploration.touch,
         "people": list(map(_person, exploration.people, QUANTILES)),
         "peopleDrawn": {"count": DRAWN, "forceN": RANKED_N},
-        "board": _board(scene),
+        "board": _board(scene) | {"ownMm": exploration.attributes.get("size_mm", scene.layout.outline.size_mm)},
         "placed": PLACED,
         # What a scene that is dropped on the page must keep, and a layout's parts.
         "rules": {
@@ -119,12 +121,9 @@ def _led_kinds(exploration: explore.Exploration) -> list[dict[str, Any]]:
     kinds: list[dict[str, Any]] = []
     for led in (*exploration.scene.leds, *(one.led for one in exploration.wavelengths)):
         wavelength, fields = number[led.wavelength_nm, led.fwhm_nm], _fields(led)
-        known = "fields" if led in exploration.scene.leds else "colour"
-        if all(kind[known] != {"fields": fields, "colour": wavelength}[known] for kind in kinds):
-            width, length = led.size_mm
-            size = {"widthMm": width, "lengthMm": length, "fluxMw": led.flux_mw}
+        if all(kind["fields"] != fields for kind in kinds):
             title = f"{led.wavelength_nm:g} nm" + (f", {led.part}" if led.part else "")
-            kinds.append({"title": title, "colour": wavelength, "fields": fields, **size})
+            kinds.append({"title": title, "colour": wavelength, "fields": fields})
     return kinds
 
 
@@ -169,12 +168,11 @@ def _readout(photodiode: Photodiode, leds: list[dict[str, Any]], scene: Scene) -
 
 
 def _board(scene: Scene) -> dict[str, Any]:
-    r, wall = scene.layout.outline, None
-    if scene.layout.barriers:
-        w = scene.layout.barriers[0]
-        wall = {"side": w.name, "uMin": w.u_min, "uMax": w.u_max, "vMin": w.v_min, "vMax": w.v_max}
-    board = {"outline": [r.u_min, r.u_max, r.v_min, r.v_max], "border": scene.layout.border_mm, "wall": wall}
-    return board | {"zoneEdgeMm": scene.zone_edges_mm[0], "epoxyMm": scene.board.height_mm}
+    r, walls = scene.layout.outline, scene.layout.barriers
+    sides = [{"side": w.name, "uMin": w.u_min, "uMax": w.u_max, "vMin": w.v_min, "vMax": w.v_max} for w in walls]
+    board = {"outline": [r.u_min, r.u_max, r.v_min, r.v_max], "wall": sides[0] if sides else None}
+    board |= {"border": scene.layout.border_mm, "epoxyMm": scene.board.height_mm}
+    return board | {"zoneEdgeMm": scene.zone_edges_mm[0]}
 
 
 EXPLORATION = Report(

@@ -57,8 +57,8 @@ BLOCKS, LEAST_BATCH, PILOT_PHOTONS = 12, 1 << 12, 1 << 18
 KERNEL_ERROR, KERNEL_CHANGE_ERROR = 0.03, 0.12
 # The blood at rest can be chosen from half to twice the scene's, the saturation down to here.
 BLOOD_RANGE, LEAST_SO2 = (0.5, 2.0), 0.7
-# Cells of the ambient light's table across and along the board.
-AMBIENT_CELLS = 6
+# Nodes of the ambient light's table lie no farther apart than this. [mm]
+AMBIENT_STEP_MM = 1.0
 # Photons of the fluence around a source.
 FLUENCE_PHOTONS = 1 << 16
 # The scene as it is, then on people's fingers, each with the polynomial over its blood.
@@ -95,7 +95,8 @@ class Exploration(Displayed):
     """Everything that the page knows.
 
     scene : the scene with outline, wall and origin spelled out; parts lie where they lay.
-    ambient_nodes : (u, v) nodes of the photocurrent by light from outside; ambient_a_per_mm2 : (sources, a, b).
+    ambient_nodes : (u, v) nodes of the photocurrent by light from outside, where photodiodes can lie.
+    ambient_a_per_mm2 : (sources, blocks, a, b), by single groups of photons.
     """
 
     scene: Scene
@@ -125,7 +126,13 @@ class WavelengthSums:
         self.sums = np.zeros((basis.size, self.first[-1] + 1))
         self.blocks, self.photons = np.zeros((BLOCKS, basis.size, 3)), np.zeros(BLOCKS)
         self.weight = self.arrivals = 0.0
-        self.ambient_a = np.zeros((len(SOURCES), AMBIENT_CELLS, AMBIENT_CELLS))
+        r = lit.layout.outline
+        ends = [(r.u_min, r.u_max), (r.v_min, r.v_max)]
+        if basis.wall_mm is not None:
+            ends[basis.across] = basis.axes[1][0], basis.axes[1][-1]
+        u, v = (np.linspace(a, b, math.ceil((b - a) / AMBIENT_STEP_MM) + 1) for a, b in ends)
+        self.ambient_nodes = u, v
+        self.ambient_a = np.zeros((len(SOURCES), BLOCKS, *map(len, self.ambient_nodes)))
 
     @property
     def area_mm2(self) -> float:
@@ -154,7 +161,7 @@ class WavelengthSums:
         self.weight, self.arrivals = self.weight + arrivals.weight.sum(), self.arrivals + len(x)
         self.photons[block] += photons
         if self.number == 0:
-            self._add_ambient(left)
+            self._add_ambient(block, left)
 
     def _values(self, arrivals: Arrivals) -> Array:
         """What each arrival adds: to each monomial, to the direct part, to the reading at rest and its two changes."""
@@ -173,40 +180,39 @@ class WavelengthSums:
         changes, direct = self.sums[:, :-1] * per_photon, self.sums[:, -1] * per_photon
         # The readings at rest, and beside them what blood changes, of which the first monomial is constant.
         rest = []
-        for columns, (worn, polynomial) in zip(self._by_finger(changes), self.fingers, strict=True):
+        for columns, (worn, polynomial) in zip(np.split(changes, first[1:], axis=1), self.fingers, strict=True):
             zone = worn.blood.rest_blood_fraction
             rest.append(columns @ polynomial.monomials(np.array([[zone, zone, worn.blood.so2]]))[0])
         at_rest = projection.solve(np.column_stack([*rest, direct, blocks[..., 0].T]), weight=weight)
         changes[:, first] -= np.transpose(rest)
         changes = projection.solve(np.column_stack([changes, *blocks[..., 1:]]), weight=weight, softer=ZONES)
         changes[:, first] += at_rest[:, : len(first)]
-        own, *people = self._by_finger(changes)
-        slopes = changes[:, self.first[-1] :].reshape(len(changes), BLOCKS, 2)
+        own, *people, slopes = np.split(changes, self.first[1:], axis=1)
+        slopes = slopes.reshape(len(changes), BLOCKS, 2)
         groups = np.concatenate([at_rest[:, len(first) + 1 :, None], slopes], -1).transpose(1, 0, 2)
         table = {"coefficients": own, "direct": at_rest[:, len(first)], "blocks": groups}
         return table | {"photons": int(self.photons.sum()), "people": np.array(people)}
 
-    def _by_finger(self, columns: Array) -> list[Array]:
-        """The monomials of each finger, (size, monomials) each."""
-        return np.split(columns, self.first[1:], axis=1)[:-1]
-
-    def _add_ambient(self, left: Arrivals) -> None:
-        """Add light that leaves, as that from outside comes in, to the cell of the board from which it started."""
+    def _add_ambient(self, block: int, left: Arrivals) -> None:
+        """Add light that leaves, as that from outside comes in, to the nodes around where it started."""
         scene = self.lit
         diode, n = scene.layout.photodiodes[0].photodiode, optics.index_around(scene, scene.leds[0].wavelength_nm)
-        r, (u, v) = scene.layout.outline, left.place_mm.T
-        edges = [[r.u_min, r.u_max], [r.v_min, r.v_max]]
         bare = np.stack([photocurrent_a_per_mm2(source, diode) for source in SOURCES])
         by_source = left.from_outside(bare, optics.absorption(scene, INSIDE_NM), area_mm2=self.area_mm2, n=n)
-        for total_a, currents_a in zip(self.ambient_a, by_source, strict=True):
-            total_a += left.photons * np.histogram2d(u, v, AMBIENT_CELLS, edges, weights=currents_a)[0]
+        # Each node's function is 1 there, and falls to 0 at the next.
+        u, v = (
+            np.stack([np.interp(x, axis, node, 0.0, 0.0) for node in np.eye(len(axis))])
+            for axis, x in zip(self.ambient_nodes, left.place_mm.T, strict=True)
+        )
+        self.ambient_a[:, block] += left.photons * (by_source[:, None] * u) @ v.T
 
-    def ambient(self) -> tuple[tuple[Array, Array], Array]:
-        """Middles (u, v) of cells, (a,), (b,) float [mm], and the photocurrent there by light from outside, per area,
-        (sources, a, b) float. [A/mm^2]"""
-        r, middles = self.lit.layout.outline, (np.arange(AMBIENT_CELLS) + 0.5) / AMBIENT_CELLS
-        nodes = r.u_min + (r.u_max - r.u_min) * middles, r.v_min + (r.v_max - r.v_min) * middles
-        return nodes, self.ambient_a * (AMBIENT_CELLS**2 / (r.area_mm2 * self.photons.sum()))
+    def ambient_a_per_mm2(self) -> Array:
+        """Photocurrent at the nodes by light from outside, per area, by groups of photons: least squares of what is
+        linear between nodes, (sources, blocks, a, b) float. [A/mm^2]"""
+        # Integrals of the products of any two nodes' functions.
+        steps = (np.diff(axis) / 6 for axis in self.ambient_nodes)
+        u, v = (2 * np.diag(np.append(d, 0) + np.append(0, d)) + np.diag(d, 1) + np.diag(d, -1) for d in steps)
+        return np.linalg.inv(u) @ (self.ambient_a / self.photons[:, None, None]) @ np.linalg.inv(v)
 
 
 def explore(scene: SceneIn, *, progress: ProgressCallback | None = None, **requested: Unpack[Requested]) -> Exploration:
@@ -239,13 +245,13 @@ def explore(scene: SceneIn, *, progress: ProgressCallback | None = None, **reque
     sums = [WavelengthSums(one, tracers[light], k, basis, fingers) for k, (light, one) in enumerate(lit.items())]
     light, unmet = as_far_as_reached(_stored_light, base, sums, sources, options, report)
     attributes: dict[str, Any] = {"seed": options.seed, "photons": int(light["photons"].sum())}
-    attributes |= {"backend": choose_jit(options.backend, "explore").name}
+    attributes |= {"backend": choose_jit(options.backend, "explore").name, "size_mm": scene.layout.outline.size_mm}
     attributes |= {"scene": to_toml(scene), "digest": digest(scene)} | run_time()
     radial, rings = RadialFunction(light["radial"]), {axis: light[axis] for axis in ("radius_mm", "depth_mm")}
     fluence = [xr.DataArray(values, rings) for values in light["fluence"]]
     kernels = light["coefficients"], light["direct"], light["blocks"], fluence
     tables = list(map(WavelengthTable, sources, *kernels, light["photons"].tolist(), light["people"]))
-    ambient = (light["nodes_u"], light["nodes_v"]), light["ambient_a_per_mm2"]
+    ambient = sums[0].ambient_nodes, light["ambient_a_per_mm2"]
     own = fingers[0][1], tables, touch_table(base)
     exploration = Exploration(base, basis, radial, *own, *ambient, people, attributes)
     attributes |= {"cut_off": str(unmet)} if unmet else {}
@@ -281,9 +287,8 @@ def _stored_light(
         cut_off = _trace(sums, photons, report, projection)
         by_wavelength = stacked_rows([band.table(projection) for band in sums])
         rings = {str(axis): fluence[0][axis].values for axis in fluence[0].dims}
-        (nodes_u, nodes_v), ambient_a = sums[0].ambient()
-        light = {"radial": radial.log_coefficients, "nodes_u": nodes_u, "nodes_v": nodes_v}
-        light |= {"ambient_a_per_mm2": ambient_a, "fluence": np.stack(fluence), **by_wavelength, **rings}
+        light = {"radial": radial.log_coefficients, "fluence": np.stack(fluence), **by_wavelength, **rings}
+        light["ambient_a_per_mm2"] = sums[0].ambient_a_per_mm2()
         unless_cut_off(light, cut_off)
         return {}, light
 
@@ -360,8 +365,9 @@ def explored_board(scene: Scene) -> Scene:
 
 
 def led_per_wavelength(base: Scene) -> list[Led]:
-    """An LED of each wavelength that the page knows: the scene's own first, then further ones."""
-    leds = list({(led.wavelength_nm, led.fwhm_nm): led for led in base.leds}.values())
+    """An LED of each wavelength of the page: the scene's own from the longest, which ambient light has, then others."""
+    by_wavelength = sorted(base.leds, key=lambda led: -led.wavelength_nm)
+    leds = list({(led.wavelength_nm, led.fwhm_nm): led for led in by_wavelength}.values())
     for part in FURTHER_LEDS:
         led = Led.model_validate({"name": part, "part": part})
         if all(abs(led.wavelength_nm - other.wavelength_nm) >= SAME_NM for other in leds):

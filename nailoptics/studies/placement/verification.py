@@ -43,9 +43,8 @@ def _ambient(scene: Scene, values: np.ndarray, point: OperatingPoint, cache: Pho
     options = TraceOptions(backend=cache.backend, store=bool(cache.stores))
     for cover_um, photons in ((scene.board.cover_um, PHOTONS), (0.0, OPEN_PHOTONS)):
         on = scene.model_copy(update={"board": scene.board.model_copy(update={"cover_um": cover_um})})
-        traced.append(
-            trace_ambient(on, sources, options, seed=cache.seed, photons=photons, check_time=cache.check_time)
-        )
+        cache.check_time()
+        traced.append(trace_ambient(on, sources, options, seed=cache.seed, photons=photons))
     current, error, _ = np.stack(traced, 1)
     high = current + Z95 * error
     read = scene_responses(scene, values, point, ambient_a=high)

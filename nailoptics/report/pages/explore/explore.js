@@ -243,13 +243,18 @@ function jackknife(values) {
   return Math.sqrt(((n - 1) / n) * values.reduce((sum, x) => sum + (x - mean) ** 2, 0));
 }
 
-/** Photocurrent by light from outside on an element. [A] */
+/** Photocurrent by light from outside on an element, and its standard error: where no photon left, what one would add. [A] */
 function ambientCurrent(element, source) {
-  if (source === null) return 0;
-  const { nodesU, nodesV, aPerMm2 } = tables.ambient;
-  const [i, a] = lineNode(nodesU, element.u), [j, b] = lineNode(nodesV, element.v), table = aPerMm2[source];
-  const mean = (1 - a) * ((1 - b) * table[i][j] + b * table[i][j + 1]) + a * ((1 - b) * table[i + 1][j] + b * table[i + 1][j + 1]);
-  return mean * element.width * element.length;
+  if (source === null) return { ambientA: 0, ambientErrorA: 0 };
+  const { nodesU, nodesV, aPerMm2, photonA } = tables.ambient, area = element.width * element.length, groups = aPerMm2[source].map(() => 0);
+  for (const [u, v, weight] of points(element, 0.25)) {
+    const [i, a] = lineNode(nodesU, u), [j, b] = lineNode(nodesV, v);
+    aPerMm2[source].forEach((table, k) => {
+      groups[k] += weight * area * ((1 - a) * ((1 - b) * table[i][j] + b * table[i][j + 1]) + a * ((1 - b) * table[i + 1][j] + b * table[i + 1][j + 1]));
+    });
+  }
+  const mean = groups.reduce((sum, x) => sum + x, 0) / groups.length;
+  return { ambientA: Math.max(0, mean), ambientErrorA: jackknife(groups) / (groups.length - 1) || photonA[source] };
 }
 
 /** The elements that are read of a photodiode, or all of an array: rectangles with names. */
@@ -281,8 +286,8 @@ function separations(part, others) {
 }
 
 function dieOf(led) {
-  const kind = tables.ledKinds[led.kind];
-  return { name: led.name, u: led.u, v: led.v, width: kind.widthMm, length: kind.lengthMm, turn: (led.turn * Math.PI) / 180 };
+  const [width, length] = tables.ledKinds[led.kind].fields.size_mm;
+  return { name: led.name, u: led.u, v: led.v, width, length, turn: (led.turn * Math.PI) / 180 };
 }
 
 /** All readings of a layout under a force, one row for each LED and element, and their force resolution; and those of people. */
@@ -299,14 +304,15 @@ function evaluate(layout, cache = new Map()) {
     return cache.get(key);
   };
   for (const element of elements) {
-    const diode = tables.photodiodeKinds[element.kind], ambientA = ambientCurrent(element, layout.ambient ?? tables.ambient.usual);
+    const diode = tables.photodiodeKinds[element.kind], { ambientA } = ambientCurrent(element, layout.ambient ?? tables.ambient.usual);
+    element.outside = ambientCurrent(element, layout.ambient);
     const lit = layout.leds.map((led) => Math.max(0, dot(bright, pairOf(led, element).coefficients)) * currentPerFraction(led, diode));
     element.ohm = tables.stage.feedbackOhm ?? fittedOhm(Math.max(0, ...lit) + ambientA + diode.darkA);
   }
   layout.leds.forEach((led, number) => {
     for (const element of elements) {
       const pair = pairOf(led, element);
-      rows.push({ led: number, element, pair, ...readRow(pair, pair.coefficients, at, led, element, ambientCurrent(element, layout.ambient)) });
+      rows.push({ led: number, element, pair, ...readRow(pair, pair.coefficients, at, led, element) });
     }
   });
   if (cache.size > 4000) cache.clear();
@@ -317,16 +323,16 @@ function evaluate(layout, cache = new Map()) {
 function readPeople(layout, rows) {
   return people.map((person, i) => {
     const at = touched(person, layout.force, person.rest, person.so2);
-    const theirs = rows.map(({ led, element, pair, ambientA }) => ({ led, element, pair, ...readRow(pair, pair.people[i], at, layout.leds[led], element, ambientA) }));
+    const theirs = rows.map(({ led, element, pair }) => ({ led, element, pair, ...readRow(pair, pair.people[i], at, layout.leds[led], element) }));
     return { rows: theirs, ...resolve(theirs, layout.force, person.rest, layout.leds.length, person) };
   });
 }
 
 /** Photocurrent of all of an LED's light on a photodiode. [A] */
-const currentPerFraction = (led, diode) => tables.ledKinds[led.kind].fluxMw * 1e-3 * diode.responsivity[led.kind];
+const currentPerFraction = (led, diode) => tables.ledKinds[led.kind].fields.flux_mw * 1e-3 * diode.responsivity[led.kind];
 
 /** One reading of a finger, by its light's coefficients; the photons' part of the errors is that of the scene's own finger. */
-function readRow(pair, coefficients, at, led, element, ambientA) {
+function readRow(pair, coefficients, at, led, element) {
   const diode = tables.photodiodeKinds[element.kind], gain = currentPerFraction(led, diode) * element.ohm, { without } = pair;
   const atRest = dot(at.rest, coefficients), now = dot(at.now, coefficients);
   const slope = at.slope.map((row) => dot(row, coefficients)), restSlope = at.restSlope.map((row) => dot(row, coefficients));
@@ -334,15 +340,17 @@ function readRow(pair, coefficients, at, led, element, ambientA) {
   const linear = without[1].map((_, k) => at.moved[0] * restSlope[0] * without[1][k] + at.moved[1] * restSlope[1] * without[2][k]);
   // What either zone's blood changes by itself, added up: both may cancel in a reading, their errors do not.
   const gross = Math.abs(at.moved[0] * slope[0]) + Math.abs(at.moved[1] * slope[1]), changeCounted = jackknife(linear);
-  const light = Math.max(now, 0), read = stage(diode, (light * gain) / element.ohm, ambientA, element.ohm);
+  const light = Math.max(now, 0), read = stage(diode, (light * gain) / element.ohm, element.outside.ambientA, element.ohm);
+  // What rejection subtracts leaves no error.
+  const photonsV = Math.hypot(gain * now * counted, tables.stage.rejects ? 0 : element.outside.ambientErrorA * element.ohm), nodesV = gain * Math.abs(now) * tables.kernelError;
   return {
-    few, fraction: now, fractionRest: atRest, gain, ambientA, ...read,
+    few, fraction: now, fractionRest: atRest, gain, ...element.outside, ...read,
     fractionError: now * Math.hypot(counted, tables.kernelError),
     restError: atRest * Math.hypot(counted, tables.kernelError),
-    voltsError: gain * now * Math.hypot(counted, tables.kernelError),
+    voltsError: Math.hypot(photonsV, nodesV),
     change: (now - atRest) * gain, changeError: gain * Math.hypot(changeCounted, tables.kernelChangeError * gross), changeCounted, gross, slope,
     // Whose error is interpolation's rather than the photons'.
-    interpolated: [tables.kernelError > counted, tables.kernelChangeError * gross > changeCounted],
+    interpolated: [nodesV > photonsV, tables.kernelChangeError * gross > changeCounted],
     directShare: atRest > 0 ? Math.max(0, pair.direct / atRest) : 0,
     light: light * gain, zone: slope.map((x) => x * gain), without,
   };
