@@ -671,10 +671,10 @@ function otherBoard() {
   return `This page's board is ${size(here)} mm; the scene's, as simulate takes it, is ${size(ownMm)} mm: its own layout gets other light from outside there, and may be saturated where it is not here. Give board.size_mm for one board in both.`;
 }
 
-/** That readings rest on too few photons for their standard errors: on the prototype 100 000 made them 3 % too low in the mean of three seeds, and 10 % with one of them; a million none, and on an open board 400 000. */
+/** That readings rest on too few photons for their standard errors: on the prototype 100 000 made the eight readings 6 % too low in the mean of three seeds, one of them 17 %; 300 000 made them 4 % too low, a million not, and on an open board 400 000. */
 function fewPhotons() {
   const least = basis.walled ? 1e6 : 4e5, { photons } = tables.colours[0];
-  return photons < least ? `${photons} photons of each wavelength of the scene are too few: smoothing makes readings up to 10 % too low, beyond their standard errors. Give --photons ${least} or more.` : "";
+  return photons < least ? `${photons} photons of each wavelength of the scene are too few: smoothing makes readings up to 20 % too low, beyond their standard errors. Give --photons ${least} or more.` : "";
 }
 
 function drawFixed() {
