@@ -55,9 +55,9 @@ def positive(name: str, value: ArrayLike) -> Array:
     return _where(lambda x: np.isfinite(x) & (x > 0), name, value, "must be finite and greater than 0; correct it")
 
 
-def fraction(name: str, value: ArrayLike, cure: str = "choose from 0 to 1") -> Array:
-    """The value as an array of floats; InputError, with its cure, where one lies outside 0 to 1."""
-    return _where(lambda x: (x >= 0) & (x <= 1), name, value, f"is not a fraction; {cure}")
+def fraction(name: str, value: ArrayLike) -> Array:
+    """The value as an array of floats; InputError where one lies outside 0 to 1."""
+    return _where(lambda x: (x >= 0) & (x <= 1), name, value, "is not a fraction; choose from 0 to 1")
 
 
 def tolerance(name: str, value: ArrayLike) -> float:

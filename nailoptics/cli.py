@@ -1,7 +1,6 @@
 """The command line: parse, call, print."""
 
 import gc
-import re
 import sys
 from contextlib import suppress
 from dataclasses import dataclass
@@ -123,19 +122,8 @@ def run(arguments: list[str]) -> int:
                 terminal.silence_stdout()
             lines, code = exit_message(error, interrupted=bool(interrupts))
         for line in lines:
-            say(_with_options(line, arguments))
+            say(line)
         return code
-
-
-def _with_options(line: str, arguments: list[str]) -> str:
-    """A message in the words of its command: --force for the argument forces_n, SCENE for the parameter --scene."""
-    command = app.parse_commands(arguments)[1][-1]
-    for option in command.assemble_argument_collection() if command is not app else ():
-        before, after = r"(^|\b(?:give|below) )", r"(?=(\[\d+\])? (=|must)|[,;])"
-        line = re.sub(before + option.field_info.name.strip("_") + after, rf"\1{option.name}", line)
-        if option.field_info.kind is not option.field_info.KEYWORD_ONLY:
-            line = line.replace(f"parameter {option.name} requires an argument", f"needs {option.name[2:].upper()}")
-    return line
 
 
 @app.command
@@ -166,7 +154,7 @@ def trace(scene: ScenePath, *, output: File = None, options: Traced = TRACED) ->
     """Trace the light only: readings at the scene's rest state, and with -o the transfer for any other.
 
     Args:
-        output: File for the transfer, by any name; nailoptics.Transfer.load reads it.
+        output: File to write.
     """
     from .light import backend, read_rest
     from .light.detect import engine_for
@@ -179,7 +167,7 @@ def trace(scene: ScenePath, *, output: File = None, options: Traced = TRACED) ->
     rest, unmet = traced(read_rest, loaded, options=options)
     if output is not None and rest.transfer is not None:
         rest.transfer.save(output)
-    finish({"transfer": output} if output else {}, rest.as_dict(), rest_lines(rest), options.json, unmet, output)
+    finish({}, rest.as_dict(), rest_lines(rest), options.json, unmet, output)
 
 
 @Parameter(name="*")

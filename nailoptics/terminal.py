@@ -98,12 +98,16 @@ def plain_messages() -> Iterator[None]:
 
 @contextmanager
 def collected_warnings() -> Iterator[list[str]]:
-    """Our own warnings meanwhile, each once."""
+    """Our own warnings meanwhile, each once; they are lines on stderr only where an error ends this."""
     ours, collector = logging.getLogger("nailoptics"), _Lines(lambda line: None)
     ours.addHandler(collector)
     ours.propagate = False
     try:
         yield collector.lines
+    except Exception:
+        for line in collector.lines:
+            say(line)
+        raise
     finally:
         ours.removeHandler(collector)
         ours.propagate = True

@@ -63,9 +63,7 @@ def protocol(seed: int = 0, *, donnings: int = 1) -> Protocol:
     """
     checks.seed(seed)
     if donnings not in range(1, 1 + MOST_DONNINGS):
-        raise InputError(
-            f"donnings = {donnings} must be a whole number from 1 to {MOST_DONNINGS}; give 1 if the sensor stays on."
-        )
+        raise InputError(f"donnings = {donnings} must be a whole number from 1 to {MOST_DONNINGS}.")
     rng, time_s, force_n, share = np.random.default_rng(seed), [0.0], [0.0], [1.0]
 
     def to(force: float, duration_s: float) -> None:

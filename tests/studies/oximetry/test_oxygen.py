@@ -107,7 +107,7 @@ def test_the_command_writes_and_prints_its_results(computed, undrawn, monkeypatc
     for name in computed.attrs["disturbances"]:
         bias = computed[f"off_by_{name}"]
         (line,) = (one for one in out.splitlines() if one.startswith(f"  {computed[name].attrs['long_name']}, "))
-        off, photodiode = re.search(r"bias at most (-?[\d.]+)(?: \+- [\d.]+)? % \((.+)\)", line).groups()
+        off, photodiode = re.search(r"bias at most ([-+][\d.]+)(?: \+- [\d.]+)? % \((.+)\)", line).groups()
         there = bias.sel(photodiode=photodiode).values
         assert np.abs(there).max() == abs(bias).max() and np.abs(there - float(off)).min() <= 0.1 * np.abs(there).max()
     assert "sunlight with the dark slot left out, 0 to 100000 lx: bias at most" in out
