@@ -240,8 +240,7 @@ def compare(
     from .report.pages.compare import COMPARISON, lines, verdict_line
     from .studies.compare import compare as study, verdict
 
-    if require is not None:
-        checks.tolerance("--require", require)
+    require = None if require is None else checks.tolerance("--require", require)
     folder = _results(options.output, scene, COMPARISON)
     result, unmet = traced(study, _load(scene, options), over=over, options=options)
     paths = COMPARISON.write(result, folder)
@@ -299,7 +298,7 @@ def validate(*, data: Path | None = None, output: File = None, options: ByPhoton
 def explore(scene: ScenePath, *, output: Output = Path("explore.html"), options: NoTolerance = NO_TOLERANCE) -> None:
     """Make an interactive page: drag LEDs and photodiodes, readings update, from light traced once.
 
-    It is one file, which any browser opens from disk. --photons: of each of the scene's wavelengths; of others half.
+    One file, which any browser opens. --photons is for each of the scene's wavelengths, half of it for 660 and 940 nm.
 
     Args:
         output: Page to write.
@@ -427,9 +426,12 @@ def check(scene: ScenePath, *, json_: Json = False) -> None:
 
     with terminal.collected_warnings() as warnings:
         loaded = load_scene(scene)
-    checked = study(loaded)
-    checked["warnings"] = warnings + checked["warnings"]
-    summary = {"scene": scene} | CHECK.summary(checked)
+    try:
+        checked = study(loaded)
+        checked["warnings"] = warnings + checked["warnings"]
+        summary = {"scene": scene} | CHECK.summary(checked)
+    except InputError as error:
+        raise InputError(f"{scene}: {error}") from None
     finish({}, summary, CHECK.lines(checked, summary), json_)
 
 

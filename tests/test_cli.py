@@ -379,7 +379,7 @@ def test_a_photodiode_without_light_is_reported(folder, capfd, chosen_jit):
 def test_the_help_of_explore_names_all_wavelengths_that_it_traces(capsys):
     assert run(["explore", "--help"]) == 0
     shown = " ".join(capsys.readouterr().out.split())
-    assert "--photons is for each wavelength: the scene's, 660 and 940 nm." in shown
+    assert "--photons is for each of the scene's wavelengths, half of it for 660 and 940 nm." in shown
     assert {f"led_{nm}" for nm in (660, 940)} == {*FURTHER_LEDS}
 
 
