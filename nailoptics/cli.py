@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import App, CycloptsError, Parameter
 
 from . import checks, terminal
-from .errors import InputError, NotReachedError, RequirementError, exit_message
+from .errors import InputError, NotReachedError, RequirementError, WriteError, exit_message
 from .io import block_dask_import, check_writable, to_json, write_text
 from .options import FormatName, Illuminant, Over, TraceOptions
 from .terminal import finish, say, shown, traced
@@ -457,7 +457,13 @@ def export(
     """
     from .exports.formats import export as write
 
-    finish(write(scene, output, format=format_, voxel_mm=voxel_mm, folder=Path(scene).parent), {}, [], json_)
+    try:
+        paths = write(scene, output, format=format_, voxel_mm=voxel_mm, folder=Path(scene).parent)
+    except WriteError:
+        raise
+    except InputError as error:
+        raise InputError(f"{scene}: {error}") from None
+    finish(paths, {}, [], json_)
 
 
 @app.command

@@ -49,7 +49,7 @@ class TraceOptions:
     relative_error: float | None = None
     """Relative standard error that every reading must reach."""
     max_seconds: float | None = None
-    """Wall time, of which a command traces for nine tenths and takes what there is. [s]"""
+    """Wall time after which tracing ends with what there is; a command keeps a tenth of it for its files. [s]"""
     photons: int | None = None
     """Photons per LED (or wavelength, where none shines), in place of a tolerance."""
     store: bool = True

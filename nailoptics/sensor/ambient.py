@@ -72,12 +72,7 @@ def photocurrent_a_per_mm2(ambient: Ambient, photodiode: Photodiode) -> Array:
 
 
 def trace_ambient(
-    scene: Scene,
-    sources: Sequence[Ambient],
-    options: TraceOptions,
-    *,
-    seed: int,
-    photons: int = PHOTONS,
+    scene: Scene, sources: Sequence[Ambient], options: TraceOptions, *, seed: int, photons: int = PHOTONS
 ) -> Array:
     """Trace the photocurrents of a scene's photodiodes by sources outside, through cover, edges and skin, (3, sources,
     photodiodes) float: the estimate, its standard error, and that of the bare photodiode in the open. [A]

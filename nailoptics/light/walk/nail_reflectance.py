@@ -20,7 +20,7 @@ from ...statistics import seed_of
 from .. import optics
 from ..identity import light_scene
 from ..tracing.store import LightStore, cache_key, load_or_compute
-from . import finger
+from . import finger as finger_walk
 from .finger import FingerTracer, FingerWalk
 from .interfaces import Interfaces, Regions, ZoneEdges, table_of_rows
 from .sampling import TOP, PhotonEnds, PhotonQueue
@@ -102,7 +102,7 @@ class NailReflectance:
     @cached_property
     def finger(self) -> tuple[Geometry, Interfaces]:
         """The finger's shape, and what the rays meet."""
-        return finger.built(finger_geometry.shaping(self.scene), str(mi.variant()), False)
+        return finger_walk.built(finger_geometry.shaping(self.scene), str(mi.variant()), False)
 
     def reflect(
         self, wavelength_nm: float, patches: Sequence[Patch], *, mu_a: np.ndarray, photons: int, seed: int, groups: int

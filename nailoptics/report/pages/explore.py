@@ -168,11 +168,10 @@ def _readout(photodiode: Photodiode, leds: list[dict[str, Any]], scene: Scene) -
 
 
 def _board(scene: Scene) -> dict[str, Any]:
-    r, walls = scene.layout.outline, scene.layout.barriers
+    r, walls, border = scene.layout.outline, scene.layout.barriers, scene.layout.border_mm
     sides = [{"side": w.name, "uMin": w.u_min, "uMax": w.u_max, "vMin": w.v_min, "vMax": w.v_max} for w in walls]
     board: dict[str, Any] = {"outline": [r.u_min, r.u_max, r.v_min, r.v_max], "wall": sides[0] if sides else None}
-    board |= {"border": scene.layout.border_mm, "epoxyMm": scene.board.height_mm}
-    return board | {"zoneEdgeMm": scene.zone_edges_mm[0]}
+    return board | {"border": border, "zoneEdgeMm": scene.zone_edges_mm[0], "epoxyMm": scene.board.height_mm}
 
 
 EXPLORATION = Report(
