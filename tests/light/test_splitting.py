@@ -167,3 +167,5 @@ def test_split_photons_read_what_plain_ones_read(jit_backend, prototype):
     # 2e-6 in the mean of ten seeds: the weight of one photon or two.
     lost_error = stderr_of_mean(*split.energy["lost"], photons)
     assert sum(energy.values()) == pytest.approx(1, abs=1e-9) and abs(energy["lost"]) < 5e-6 + 3 * lost_error < 5e-5
+    # Of the photons here alone.
+    assert abs(energy["lost"]) < 1e-5

@@ -352,20 +352,22 @@ def test_a_state_of_far_less_absorption_warns(jit_backend):
     with absorption has detected hardly any; the few that it has outweigh all others. Weights have no finite variance
     where their tail index exceeds 1/2: an eighth of the absorption makes it 3/4, less in what a trace has detected.
     Expected: a warning where reading and error are wrong, and none where both are right; of twelve traces more than
-    three are off by more than three errors, most of them in fact, where of calibrated ones none in thirty would be."""
-    off = []
-    for seed in range(12):
+    three are off by more than three errors, most of them in fact, where of calibrated ones none in thirty would be;
+    three of the thirteen here by more than five."""
+    off = {}
+    for seed in (*range(12), 74):
         deep = nail.trace(deep_tissue(0.1), photons=1 << 17, seed=seed)
         for less in (0.0, 0.00625, 0.0125):
             with pytest.warns(ReweightWarning, match='photodiode "all".*tail index 0.*a check has few$'):
                 wrong = deep.at(mu_a_per_mm={"deep": less}).squeeze()
             # Nothing absorbs, so that all comes back.
             if not less:
-                off.append(float((1 - wrong.detected_fraction) / wrong.detected_fraction_stderr))
+                off[seed] = float((1 - wrong.detected_fraction) / wrong.detected_fraction_stderr)
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             deep.at(mu_a_per_mm={"deep": 0.025})
-    assert np.sum(np.array(off) > 3) > 3, off
+    assert np.sum(np.array(list(off.values())) > 3) > 3, off
+    assert min(off[seed] for seed in (1, 2, 74)) > 5, off
     for near in (0.05, 0.2):
         with warnings.catch_warnings():
             warnings.simplefilter("error")
