@@ -30,7 +30,7 @@ COMMANDS = {
 
 def variables(path: Path) -> dict[str, dict[str, object]]:
     """A dataset's variables with their dimensions, units and long names."""
-    with xr.open_dataset(path, engine="h5netcdf") as data:
+    with xr.open_dataset(path) as data:
         return {
             str(name): {"dims": list(map(str, one.dims))}
             | {key: one.attrs.get(key, "") for key in ("units", "long_name")}

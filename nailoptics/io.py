@@ -115,16 +115,14 @@ def cache_folder() -> Path:
 def write_dataset(dataset: "xr.Dataset", path: Path) -> None:
     """Write a dataset to NetCDF by the CF conventions, its axes in words; raises WriteError.
 
-    It is made in memory: HDF5 ends the process where a disk is full.
+    It is made in memory, so that a full disk leaves the old file.
     """
-    written, data = dataset.copy(), BytesIO()
-    written.attrs = {"Conventions": CONVENTIONS} | dataset.attrs
+    written = dataset.assign_attrs({"Conventions": CONVENTIONS} | dataset.attrs)
     words = read_toml("axes.toml")
     for name in written.coords.keys() & words.keys():
         units = {"units": "1"} if written[name].dtype.kind in _NUMBERS else {}
         written[name].attrs = {"long_name": words[str(name)], **units} | written[name].attrs
-    written.to_netcdf(data, engine="h5netcdf")
-    write_bytes(path, data.getbuffer())
+    write_bytes(path, written.to_netcdf(engine="netcdf4"))
 
 
 def block_dask_import() -> None:

@@ -49,7 +49,7 @@ ORDER = [
     {"__main__"},
 ]
 RANK = {room: rank for rank, rooms in enumerate(ORDER) for room in rooms}
-SLOW = {"mitsuba", "drjit", "xarray", "scipy", "matplotlib", "trimesh", "colour", "h5netcdf"}
+SLOW = {"mitsuba", "drjit", "xarray", "scipy", "matplotlib", "trimesh", "colour", "netCDF4"}
 FILES = sorted(PACKAGE.rglob("*.py"))
 
 

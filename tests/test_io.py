@@ -154,7 +154,7 @@ def test_links_planted_where_a_temporary_file_might_lie_are_not_followed(tmp_pat
     for name in planted:
         (tmp_path / name).symlink_to(victim)
     io.write_dataset(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "result.nc")
-    assert "a" in xr.load_dataset(tmp_path / "result.nc", engine="h5netcdf")
+    assert "a" in xr.load_dataset(tmp_path / "result.nc")
     # Even who could predict the random name gains nothing.
     monkeypatch.setattr(io.secrets, "token_hex", lambda size: "guessed")
     with pytest.raises(WriteError, match="File exists"):
@@ -168,7 +168,7 @@ def test_datasets_come_back_as_they_were(tmp_path):
     about = {"Conventions": "CF-1.11", "n": 3}
     given = xr.Dataset({"a": (("t", "x"), np.random.default_rng(1).random((50, 3)))}, {"x": ["p", "q", "r"]}, about)
     io.write_dataset(given, tmp_path / "new" / "set.nc")
-    assert xr.load_dataset(tmp_path / "new" / "set.nc", engine="h5netcdf").identical(given)
+    assert xr.load_dataset(tmp_path / "new" / "set.nc").identical(given)
 
 
 def test_a_full_disk_leaves_the_old_dataset(tmp_path, monkeypatch):
@@ -189,7 +189,7 @@ def test_a_full_disk_leaves_the_old_dataset(tmp_path, monkeypatch):
 def test_a_written_dataset_states_its_conventions_and_axes(tmp_path):
     given = xr.Dataset({"a": (("led", "so2"), [[1.0]])}, {"led": ["ir"], "so2": [0.9]})
     io.write_dataset(given, tmp_path / "set.nc")
-    written = xr.load_dataset(tmp_path / "set.nc", engine="h5netcdf")
+    written = xr.load_dataset(tmp_path / "set.nc")
     assert written.attrs == {"Conventions": "CF-1.11"} and given.attrs == {} and given.led.attrs == {}
     assert written.led.attrs == {"long_name": "LED"}
     assert written.so2.attrs == {"long_name": "oxygen saturation", "units": "1"}

@@ -20,7 +20,7 @@ from nailoptics.scene import parse_scene
 
 def nail_picture(folder: Path, readings: xr.Dataset, path: Path) -> None:
     """Write one wide picture, a PNG."""
-    colours = xr.load_dataset(folder / "colour.nc", engine="h5netcdf")
+    colours = xr.load_dataset(folder / "colour.nc")
     finger = parse_scene(str(colours.attrs["scene"])).finger
     assert finger is not None
     with style.drawing():
@@ -42,4 +42,4 @@ def nail_picture(folder: Path, readings: xr.Dataset, path: Path) -> None:
 
 
 if __name__ == "__main__":
-    nail_picture(Path(sys.argv[1]), xr.load_dataset(sys.argv[2], engine="h5netcdf"), Path(sys.argv[3]))
+    nail_picture(Path(sys.argv[1]), xr.load_dataset(sys.argv[2]), Path(sys.argv[3]))

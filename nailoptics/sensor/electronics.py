@@ -6,7 +6,6 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.constants import Boltzmann as BOLTZMANN_J_PER_K, elementary_charge as ELEMENTARY_CHARGE_C
 
 from ..checks import Array, not_negative
 from ..errors import InputError
@@ -17,6 +16,9 @@ from ..variables import Estimate, Variables, described
 
 Photodiodes: TypeAlias = Photodiode | Sequence[Photodiode]
 Ohm: TypeAlias = Array | float | None
+
+# Exact, as the SI is defined by them.
+BOLTZMANN_J_PER_K, ELEMENTARY_CHARGE_C = 1.380649e-23, 1.602176634e-19
 
 # Preferred numbers of the series E24 (IEC 60063), and the largest chip resistor in common series of them. [ohm]
 E24 = np.array([10, 11, 12, 13, 15, 16, 18, 20, 22, 24, 27, 30, 33, 36, 39, 43, 47, 51, 56, 62, 68, 75, 82, 91])
