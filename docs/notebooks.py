@@ -89,6 +89,7 @@ def prepare_kernels(app: Any) -> None:
     (profile / "ipython_kernel_config.py").write_text("\n".join(lines), encoding="utf-8")
     # What a command prints arrives in pieces, between which myst-nb would break lines.
     NotebookClient.coalesce_streams = True
+    NotebookClient.shutdown_kernel = "immediate"  # what a kernel does as it ends is of no use
     os.environ.pop("MPLBACKEND", None)  # figures are shown below the cells that make them
     # What is installed beside Sphinx is run, in lines as wide as the page.
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])

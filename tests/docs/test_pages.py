@@ -23,8 +23,6 @@ def test_all_pages_build_and_their_notebooks_run(tmp_path, chosen_jit, coarse_ce
         "-q",
         "-W",
         "--keep-going",
-        "-j",
-        "auto",
         str(DOCS),
         str(tmp_path / "html"),
     ]
