@@ -28,13 +28,7 @@ def _floats(name: str, value: ArrayLike) -> Array:
 
 def finite(name: str, value: ArrayLike) -> Array:
     """The value as an array of floats; InputError where one is not a finite number."""
-    array = _floats(name, value)
-    bad = ~np.isfinite(array)
-    if bad.any():
-        first = np.argwhere(bad)[0].tolist()
-        where = f"[{', '.join(map(str, first))}]" if first else ""
-        raise InputError(f"{name}{where} must be finite, got {array[bad][0]}; replace NaN and inf.")
-    return array
+    return _where(np.isfinite, name, value, "must be finite; replace NaN and inf")
 
 
 def number(name: str, value: ArrayLike) -> float:
@@ -55,9 +49,9 @@ def positive(name: str, value: ArrayLike) -> Array:
     return _where(lambda x: np.isfinite(x) & (x > 0), name, value, "must be finite and greater than 0; correct it")
 
 
-def fraction(name: str, value: ArrayLike) -> Array:
-    """The value as an array of floats; InputError where one lies outside 0 to 1."""
-    return _where(lambda x: (x >= 0) & (x <= 1), name, value, "is not a fraction; choose from 0 to 1")
+def fraction(name: str, value: ArrayLike, cure: str = "choose from 0 to 1") -> Array:
+    """The value as an array of floats; InputError, with its cure, where one lies outside 0 to 1."""
+    return _where(lambda x: (x >= 0) & (x <= 1), name, value, f"is not a fraction; {cure}")
 
 
 def tolerance(name: str, value: ArrayLike) -> float:
@@ -68,7 +62,8 @@ def tolerance(name: str, value: ArrayLike) -> float:
 def _where(is_valid: Callable[[Array], NDArray[np.bool_]], name: str, value: ArrayLike, rule: str) -> Array:
     array = _floats(name, value)
     if not (valid := is_valid(array)).all():
-        raise InputError(f"{name} = {array[~valid].flat[0]:g} {rule}")
+        where = np.argwhere(~valid)[0].tolist() or ""
+        raise InputError(f"{name}{where} = {array[~valid].flat[0]:g} {rule}")
     return array
 
 

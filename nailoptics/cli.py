@@ -1,6 +1,7 @@
 """The command line: parse, call, print."""
 
 import gc
+import re
 import sys
 from contextlib import suppress
 from dataclasses import dataclass
@@ -122,8 +123,19 @@ def run(arguments: list[str]) -> int:
                 terminal.silence_stdout()
             lines, code = exit_message(error, interrupted=bool(interrupts))
         for line in lines:
-            say(line)
+            say(_with_options(line, arguments))
         return code
+
+
+def _with_options(line: str, arguments: list[str]) -> str:
+    """A message with the command's options for its function's arguments: --force[0] = -1.0 for forces_n[0] = -1.0."""
+    command = app.parse_commands(arguments)[1][-1]
+    for option in command.assemble_argument_collection() if command is not app else ():
+        name = option.field_info.name.strip("_")
+        line = re.sub(rf"(^|below ){name}(?=(\[\d+\])? =)", rf"\g<1>{option.name}", line)
+        if option.field_info.kind is not option.field_info.KEYWORD_ONLY:
+            line = line.replace(f"parameter {option.name} requires an argument", f"needs {option.name[2:].upper()}")
+    return line
 
 
 @app.command
@@ -154,7 +166,7 @@ def trace(scene: ScenePath, *, output: File = None, options: Traced = TRACED) ->
     """Trace the light only: readings at the scene's rest state, and with -o the transfer for any other.
 
     Args:
-        output: File to write.
+        output: File for the transfer, which nailoptics.Transfer.load reads.
     """
     from .light import backend, read_rest
     from .light.detect import engine_for
@@ -167,7 +179,7 @@ def trace(scene: ScenePath, *, output: File = None, options: Traced = TRACED) ->
     rest, unmet = traced(read_rest, loaded, options=options)
     if output is not None and rest.transfer is not None:
         rest.transfer.save(output)
-    finish({}, rest.as_dict(), rest_lines(rest), options.json, unmet, output)
+    finish({"transfer": output} if output else {}, rest.as_dict(), rest_lines(rest), options.json, unmet, output)
 
 
 @Parameter(name="*")

@@ -1,6 +1,5 @@
 """What can be requested of every command and function that traces light, beside the scene: one object, passed whole."""
 
-import difflib
 import inspect
 import math
 from collections.abc import Callable
@@ -57,7 +56,7 @@ class TraceOptions:
 
     def __new__(cls, **fields: Any) -> Self:
         for name in fields.keys() - cls.__dataclass_fields__.keys():
-            nearest = difflib.get_close_matches(name, cls.__dataclass_fields__, n=1, cutoff=0)[0]
+            nearest = checks.nearest(name, cls.__dataclass_fields__, cutoff=0)
             raise InputError(f"{name} = {fields[name]!r} is not an option here; did you mean {nearest}?")
         return super().__new__(cls)
 
@@ -70,17 +69,12 @@ class TraceOptions:
             object.__setattr__(self, "photons", int(self.photons))
         if self.backend not in get_args(BackendName):
             raise InputError(f'backend = "{self.backend}" is unknown; choose from {", ".join(get_args(BackendName))}.')
-        for name, kind, most in (
-            ("relative_error", "number", 1.0),
-            ("max_seconds", "number", math.inf),
-            ("photons", "whole number", MAX_PHOTONS),
-        ):
-            value = getattr(self, name)
-            known = int if name == "photons" else int | float
+        for name, most in {"relative_error": 1.0, "max_seconds": math.inf, "photons": MAX_PHOTONS}.items():
+            value, known = getattr(self, name), int if name == "photons" else int | float
             if value is None or isinstance(value, known) and not isinstance(value, bool) and 0 < value <= most:
                 continue
             end = "" if math.isinf(most) else f" and at most {most:g}"
-            raise InputError(f"{name} = {value!r}; must be a {kind} above 0{end}.")
+            raise InputError(f"{name} = {value!r}; must be a {'whole ' * (known is int)}number above 0{end}.")
 
     @property
     def fields(self) -> Requested:

@@ -80,7 +80,10 @@ BAD_SCENES = {
     "a recording whose time stands still": (RECORDED, "touch.csv", "time_s,force_n\n0,0\n1,1\n1,2\n"),
     "an unknown hemodynamic set": (changed('parameters = "best"', 'parameters = "bset"'), "bset"),
     "no TOML": ("this is no scene", "TOML"),
-    "more blood than the bed can hold": (changed("rest_blood_fraction = 0.03", "rest_blood_fraction = 1.0"), "blood"),
+    "more blood than the bed can hold": (
+        changed("rest_blood_fraction = 0.03", "rest_blood_fraction = 1.0"),
+        "lower blood.rest_blood_fraction = 1 or",
+    ),
     "an engine that the backend cannot run": (changed("[light]", '[light]\nengine = "photons"'), "scalar"),
 }
 
@@ -103,7 +106,15 @@ BAD_COMMANDS = {
     "an unknown command": (["simulte", "prototype"], "simulte"),
     "an unknown option": (["simulate", "prototype", "--fast"], "--fast"),
     "an option without its value": (["simulate", "prototype", "-o"], "-o"),
-    "no scene": (["simulate"], "scene"),
+    "no scene": (["simulate"], 'Command "simulate" needs SCENE.'),
+    "no scene, and an option": (["protocol", "-o", "deep/protocol"], 'Command "protocol" needs SCENE.'),
+    "no file for a mesh": (["export", "prototype"], "parameter --output requires an argument"),
+    "time below 0": (
+        ["simulate", "prototype", "--max-seconds", "-5"],
+        ": --max-seconds = -5.0; must be a number above 0",
+    ),
+    "a force below 0": (["colour", "nail_colour", "--force", "-1"], ": --force[0] = -1.0: must be greater"),
+    "no donning": (["protocol", "prototype", "--donnings", "0"], ": --donnings = 0 must be a whole number from 1"),
     "one scene too many": (["check", "prototype", "prototype"], "prototype"),
     "a scene that is not there": (["simulate", "missing.toml"], "missing.toml"),
     "a name that is no shipped scene": (["simulate", "protoype"], "shipped: "),
@@ -111,7 +122,7 @@ BAD_COMMANDS = {
     "a scene's name too long to be one": (["check", "x" * 300], "xxx"),
     "a binary file for a scene": (["check", sys.executable], "not a text file"),
     "a backend that does not exist": (["simulate", "prototype", "--backend", "gpu"], "scalar"),
-    "a tolerance that is no number": (["simulate", "prototype", "--relative-error", "nan"], "relative_error"),
+    "a tolerance that is no number": (["simulate", "prototype", "--relative-error", "nan"], ": --relative-error = nan"),
     "a tolerance in words": (["simulate", "prototype", "--relative-error", "1%"], "1%"),
     "half a photon": (["simulate", "prototype", "--photons", "2.5"], "2.5 is not a whole number"),
     "a folder below a file": (["simulate", "prototype", "-o", "existing/sub"], "existing/sub"),
@@ -129,7 +140,10 @@ BAD_COMMANDS = {
         "--require = 5 must lie above 0 and",
     ),
     "a requirement of all": (["compare", "prototype", "--require", "1"], "give 0.05 for 5 %"),
-    "a tolerance of 0": (["tradeoff", "prototype", "--tolerance", "0"], "must lie above 0 and below 1; give 0.05"),
+    "a tolerance of 0": (
+        ["tradeoff", "prototype", "--tolerance", "0"],
+        ": --tolerance = 0 must lie above 0 and below 1",
+    ),
     "a tolerance in percent": (["explain", "prototype", "--tolerance", "2"], "must lie above 0 and below 1; give 0.05"),
     "an unknown set": (["figures", "-o", "deep/pictures", "--set", "nonsense"], "nonsense"),
 }
@@ -330,6 +344,7 @@ def test_trace_of_a_finger_prints_the_agreed_json_and_keeps_the_transfer(folder,
     options = ["--photons", "20000", "--seed", "3", "--json"]
     assert run(["trace", "prototype", *options, "-o", "deep/transfer.nc"]) == 0
     result = only_json(capfd)
+    assert result.pop("transfer") == "deep/transfer.nc"
     assert_traced(result, engine="photons", name=chosen_jit.name)
     assert len(result["readings"]) == 8 and result["photons"] == 20_000
     assert {"plate", "bed_1", "bed_2", "epoxy"} <= set(result["readings"][0]["mean_path_mm"])
@@ -621,7 +636,7 @@ def test_ctrl_c_keeps_what_was_traced(folder, chosen_jit, store):
         process.kill()
     assert process.returncode == 3, err
     assert "interrupted" in err.splitlines()[-1] and "Traceback" not in err
-    assert Transfer.load(Path("transfer.nc")).photons > 0 and len(out.splitlines()) == 16
+    assert Transfer.load(Path("transfer.nc")).photons > 0 and len(out.splitlines()) == 17
     assert out.startswith("Cut off: interrupted")
 
 

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..checks import Array, fraction, positive
-from ..errors import InputError
 from ..scene import Blood
 from ..scene.base import USUAL_BLOOD_FRACTION
 from .parameters import Parameters
@@ -51,10 +50,7 @@ def blood_fraction(
         rest_m, share, closing_pa = (constant.reshape(-1, *(1,) * (diameter.ndim - 1)) for constant in constants)
     rest_fraction = fraction("rest_blood_fraction", rest_blood_fraction)
     result = rest_fraction * relative_blood(diameter / rest_m, share, touch_pa=touch_pa, closing_pa=closing_pa)
-    if np.any(result > 1.0):
-        why = "more than 1; lower it or the suction."
-        raise InputError(f"rest_blood_fraction {rest_fraction:g} makes a blood fraction of {result.max():.3g}, {why}")
-    return np.asarray(result)
+    return fraction("blood_fraction", result, f"lower blood.rest_blood_fraction = {rest_fraction:g} or the suction")
 
 
 def relative_blood(

@@ -72,9 +72,9 @@ def with_error(value: float, error: float, *, sign: bool = False, scale: float =
     return f"({text}){tail}" if tail else text
 
 
-def estimated(record: Any, name: str, scale: float = 1.0, *, negligible: float = 1e-6) -> str:
-    """An estimate of a dataset or a record, times a scale, ± its standard error."""
-    return with_error(*(scale * float(record[f"{name}{end}"]) for end in ("", "_stderr")), negligible=negligible)
+def estimated(record: Any, name: str, scale: float = 1.0, **how: Any) -> str:
+    """An estimate of a dataset or a record, times a scale, ± its standard error, as `with_error` writes them."""
+    return with_error(*(scale * float(record[f"{name}{end}"]) for end in ("", "_stderr")), **how)
 
 
 def cells(record: Any, columns: Mapping[str, tuple[str, float, int]], of: Any = estimated) -> dict[str, str]:

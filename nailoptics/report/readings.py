@@ -31,7 +31,7 @@ def photodiode_readings(result: xr.Dataset, scene: Scene | None = None) -> pd.Da
 
     Columns are those of the summary and `reading`, its name; `zone`, `distance_mm`, `change_percent`; `z_score`, the
     change in standard errors of the trace; `signal_to_noise`, the change over the electronics' noise of one sample; and
-    `resolution_n`, the force that one sample resolves: noise over the mean slope to the end of the hold, else NaN.
+    `noise_equivalent_force_n`: noise of one sample over the mean slope to the end of the hold, else NaN.
     """
     rest, held = result.isel(time=0, drop=True), result.isel(time=hold_end(result), drop=True)
     pair = ("led", "photodiode")
@@ -63,7 +63,7 @@ def photodiode_readings(result: xr.Dataset, scene: Scene | None = None) -> pd.Da
     table["change_percent"] = 100 * table.volts_change / table.volts_start
     table["z_score"] = change / table.volts_change_stderr
     table["signal_to_noise"] = change / table.volts_noise_rms
-    table["resolution_n"] = table.volts_noise_rms * force_n / change if force_n else math.nan
+    table["noise_equivalent_force_n"] = table.volts_noise_rms * force_n / change if force_n else math.nan
     return table
 
 
@@ -109,7 +109,7 @@ def reading_rows(table: pd.DataFrame) -> list[dict[str, str]]:
             row["Prior std of change [%]"] = significant(100 * r.change_spread, 2)
         row[f"Noise, rms [{noise_letter}V]"] = significant(r.volts_noise_rms / noise)
         row["SNR [1]"] = significant(r.signal_to_noise)
-        row["Resolution [mN]"] = significant(1e3 * r.resolution_n)
+        row["NEF [mN]"] = significant(1e3 * r.noise_equivalent_force_n)
         if r.saturated:
             row = dict.fromkeys(row, "–") | {"Photodiode": f"{r.photodiode} saturated", "Blood zone": r.zone} | distance
             row[f"At rest [{letter}V]"] = significant(r.volts_start / volts)
@@ -140,7 +140,10 @@ def simulation_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
     ]
     hold = f"change: from the first sample to the last under the largest force, at {table.time_of_change_s[0]:.3g} s"
     few = " (?: too few photons for one)" if any("?" in cell for row in rows for cell in row.values()) else ""
-    lines = [*aligned(rows), f"{hold}; +-: standard error of the trace{few}; resolution: noise over the slope"]
+    lines = [
+        *aligned(rows),
+        f"{hold}; +-: standard error of the trace{few}; NEF: noise-equivalent force, noise over slope",
+    ]
     if table.saturated.any():
         lines.append("saturated: the converter is at its limit, these volts do not measure the light")
     lines += [*absorbed_lines(summary["absorbed"]), *(line.translate(ASCII) for line in disturbance_lines(result))]

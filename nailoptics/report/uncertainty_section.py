@@ -71,7 +71,7 @@ def _of_readings(result: xr.Dataset, traced: list[dict[str, Any]]) -> list[str]:
         lines.append(TEXTS["shifted"].format(", ".join(off), ends))
     signs, count = int(result.keeps_sign.where(usable, False).sum()), int(usable.sum())
     unsure = "" if signs == count else TEXTS["unsure"]
-    return [*lines, TEXTS["sign"].format(signs, count, unsure), TEXTS["resolved"], TEXTS["not_among"]]
+    return [*lines, TEXTS["sign"].format(signs, count, unsure), TEXTS["nef"], TEXTS["not_among"]]
 
 
 def _of_layouts(result: xr.Dataset, traced: list[dict[str, Any]]) -> list[str]:

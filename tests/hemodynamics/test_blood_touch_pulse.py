@@ -36,7 +36,9 @@ def test_blood_fraction_is_the_volume_of_capillaries_over_that_of_tissue():
 
 def test_blood_cannot_be_more_than_all_of_the_tissue():
     p = parameters("listed")
-    with pytest.raises(InputError, match="more than 1"):
+    with pytest.raises(
+        InputError, match="= .* is not a fraction; lower blood.rest_blood_fraction = 0.03 or the suction"
+    ):
         blood_fraction(p, 1e-3, rest_blood_fraction=0.03)
     for bad in (1.1, -0.1, math.nan):
         with pytest.raises(InputError, match="rest_blood_fraction"):

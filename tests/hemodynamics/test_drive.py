@@ -105,7 +105,7 @@ def test_a_jump_is_a_stop_and_neither_side_depends_on_the_other():
         ([0.0, 1.0], [1.0], "two rows of one length"),
         (1.0, 2.0, "two rows of one length"),
         ([0.0, 2.0, 1.0], [0.0, 0.0, 0.0], "times must not fall"),
-        ([0.0, np.nan], [0.0, 0.0], r"waveform.time_s\[1\] must be finite"),
+        ([0.0, np.nan], [0.0, 0.0], r"waveform.time_s\[1\] = nan must be finite"),
     ],
 )
 def test_a_faulty_waveform_is_one_clear_line(time, pressure, message):

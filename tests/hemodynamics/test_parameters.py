@@ -71,7 +71,7 @@ def test_units_have_the_constants_of_the_half_in_which_they_lie():
 @pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf, -math.inf, "stiff", None])
 @pytest.mark.parametrize("name", ["vein_stiffness_n_per_m", "capillary_mass_kg", "viscosity_pa_s", "vein_count"])
 def test_a_value_that_cannot_be_is_named_in_the_error(name, value):
-    with pytest.raises(InputError, match=f"^{name} must be") as caught:
+    with pytest.raises(InputError, match=f"^{name} (= -?(nan|inf) )?must be") as caught:
         parameters("listed").replace(**{name: value})
     assert "\n" not in str(caught.value) and caught.value.exit_code == 2
 
@@ -79,7 +79,7 @@ def test_a_value_that_cannot_be_is_named_in_the_error(name, value):
 def test_body_pressures_may_have_any_sign_but_must_be_finite():
     p = Parameters(arterial_pressure_pa=-1e3, venous_pressure_pa=2e3)
     assert p.arterial_pressure_pa == -1e3
-    with pytest.raises(InputError, match="arterial_pressure_pa must be finite"):
+    with pytest.raises(InputError, match="arterial_pressure_pa = .* must be finite"):
         p.replace(arterial_pressure_pa=math.nan)
 
 

@@ -294,7 +294,7 @@ def test_dataset_is_labelled_and_carries_its_inputs():
         ([0.0, 1.0, 1.0], {}, "times that rise"),
         ([0.0, np.nan], {}, "time_s"),
         ([0.0, 1.0], {"proximal_pressure_pa": [1.0, 2.0, 3.0]}, "one for each of 2 times"),
-        ([0.0, 1.0], {"distal_pressure_pa": np.inf}, "distal_pressure_pa must be finite"),
+        ([0.0, 1.0], {"distal_pressure_pa": np.inf}, "distal_pressure_pa = inf must be finite"),
         ([0.0, 1.0], {"arterial_pressure_pa": [1.0, np.nan]}, r"arterial_pressure_pa\[1\]"),
         ([0.0, 1.0], {"rtol": 0.0}, "rtol"),
         ([0.0, 1.0], {"model": "quick"}, "'massless' or 'inertial'"),

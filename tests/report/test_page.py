@@ -73,7 +73,7 @@ def test_the_page_holds_every_reading_with_the_numbers_of_the_result(undrawn, ma
     change = result.volts.values[..., hold] - result.volts.values[..., 0]
     for (name, zone, *cells), (i, j) in zip(rows, np.ndindex(leds, 8), strict=True):
         assert name == result.photodiode.values[j] and zone == result.zone.values[j // 4]
-        distance, rest, moved, percent, z_score, largest, noise, ratio, resolved = map(number, cells)
+        distance, rest, moved, percent, z_score, largest, noise, ratio, nef = map(number, cells)
         swings = result.volts_change.values[i, j]
         near = partial(pytest.approx, rel=0.02)
         assert largest == near(1e3 * swings[abs(swings).argmax()])
@@ -81,7 +81,7 @@ def test_the_page_holds_every_reading_with_the_numbers_of_the_result(undrawn, ma
         assert percent == near(100 * change[i, j] / result.volts.values[i, j, 0])
         assert z_score == near(50) and noise == near(22)  # the error is made 2 % of the change
         assert ratio == near(abs(change[i, j]) / 2.2e-5)
-        assert resolved == near(1e3 * 2.2e-5 / abs(change[i, j]))  # noise over the slope, after 1 N
+        assert nef == near(1e3 * 2.2e-5 / abs(change[i, j]))  # noise over the slope, after 1 N
         if i == 0 and j == 0:
             assert distance == near(np.hypot(1.2, 2.375))  # the LED at (-1.2, 0), element 6 of 16 at -2
     shown = [text for text in rows[0] if "±" in text]

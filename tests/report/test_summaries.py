@@ -23,6 +23,7 @@ def test_the_terminal_and_the_page_have_one_definition_of_a_change(make):
     lines = simulation_lines(result, simulation_summary(result))
     at_s = f"{float(result.time[hold]):.3g} s"
     assert f"to the last under the largest force, at {at_s}" in lines[-1] and "+1.00" in lines[1]
+    assert lines[-1].endswith("NEF: noise-equivalent force, noise over slope") and lines[0].endswith("NEF [mN]")
 
 
 def test_saturated_readings_are_marked(make):

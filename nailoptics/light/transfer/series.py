@@ -80,7 +80,8 @@ class _Course:
 
     def __init__(self, transfer: Transfer, states: np.ndarray) -> None:
         self.transfer, self.states = transfer, states
-        self.first = checks.fraction("blood_fraction", states)[0]
+        cure = f"lower blood.rest_blood_fraction = {transfer.scene.blood.rest_blood_fraction:g}"
+        self.first = checks.fraction("blood_fraction", states, cure)[0]
         self.out = np.empty((4, len(transfer.traces), len(transfer.photodiodes), len(states)), states.dtype)
 
     def sums(self, states: np.ndarray, line: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray:

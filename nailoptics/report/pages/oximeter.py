@@ -234,11 +234,10 @@ def oximeter_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
     index = ", ".join(f"{led} {100 * value:.3f} %" for led, value in best["perfusion_index"].items())
     lines.append(f"best photodiode, by its noise: {summary['best']}; perfusion index {index}")
     for name, curve in best["disturbances"].items():
-        off, stderr, about = result[f"off_by_{name}"], result[f"off_by_{name}_stderr"], result[name].attrs
-        largest = abs(off).fillna(0.0).argmax(...)
-        bias = with_error(float(off[largest]), float(stderr[largest]), sign=True).translate(ASCII)
+        worst, about = result.isel(abs(result[f"off_by_{name}"]).fillna(0.0).argmax(...)), result[name].attrs
+        bias = estimated(worst, f"off_by_{name}", sign=True).translate(ASCII)
         ends = f"{curve['values'][0]:g} to {curve['values'][-1]:g} {about['units']}".removesuffix(" 1")
-        lines.append(f"  {about['long_name']}, {ends}: bias at most {bias} % ({off[largest].photodiode.item()})")
+        lines.append(f"  {about['long_name']}, {ends}: bias at most {bias} % ({worst.photodiode.item()})")
     return lines
 
 

@@ -149,7 +149,7 @@ def _ranked_by(rules: Placement, first: dict[str, Any]) -> str:
 def _cards(result: xr.Dataset, ranking: list[dict[str, Any]]) -> list[tuple[str, str]]:
     """Force resolution, with the electronics' noise alone, and beside the user's layout or the paper's."""
     first = ranking[0]
-    cards = [(quantity(first["force_resolution_n"], "N"), "force resolution of one sample, rms")]
+    cards = [(quantity(first["force_resolution_n"], "N"), "force resolution of one sample, rms (Cramér-Rao bound)")]
     if "force_error_n" in first:
         cards.insert(0, (quantity(first["force_error_n"], "N"), "error of the force over touches by a filter, rms"))
     if "electronics_resolution_n" in first:

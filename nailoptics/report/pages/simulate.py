@@ -143,10 +143,10 @@ def _cards(readings: pd.DataFrame, result: xr.Dataset, scene: Scene) -> list[tup
             ratio = f"signal-to-noise ratio {significant(r.signal_to_noise)}"
             words = f"largest {word}: {r.reading}, {significant(r.change_percent, sign=True)} %, {ratio}"
             lines.append((quantity(r.volts_change, "V", sign=True), words))
-    resolved = usable.resolution_n[(usable.resolution_n > 0) & np.isfinite(usable.resolution_n)]
-    if len(resolved):
-        words = f"best force resolution of one sample (noise / slope): {usable.reading[resolved.idxmin()]}"
-        lines.append((quantity(resolved.min(), "N"), words))
+    force_n = usable.noise_equivalent_force_n
+    if len(known := force_n[(force_n > 0) & np.isfinite(force_n)]):
+        words = f"lowest noise-equivalent force of one sample (noise / slope): {usable.reading[known.idxmin()]}"
+        lines.append((quantity(known.min(), "N"), words))
     if change_v.any() and scene.touch.proximal_share == SHARES["even"]:
         lines += _signs(usable, result)
     if "white_band_mm" in result:

@@ -242,9 +242,7 @@ def _origin(
 
 def _looks_turned(part: PlacedPart, use: Mapping[str, Any], folder: str | Path | None) -> bool:
     """Whether a part is another one at 180 degrees less its angle: oblique, a module, aside, or of several elements."""
-    if part.rotation_deg % 90 or {"module", "offset_mm", "wired"} & use.keys():
-        return True
-    return _elements(use, folder) != 1
+    return bool(part.rotation_deg % 90 or {"module", "offset_mm", "wired"} & use.keys() or _elements(use, folder) != 1)
 
 
 def _elements(use: Mapping[str, Any], folder: str | Path | None) -> int:

@@ -201,14 +201,14 @@ def test_what_cannot_calibrate_is_refused(
         (["predict", "touch.csv", "touch.csv"], "is a recording, which calibrate and predict take last"),
         (["predict", "none.toml", "touch.csv"], "cannot be read"),
         (["predict", "me.toml", "none.csv"], "cannot be read"),
-        (["predict", "me.toml", "touch.csv", "--press", "0.2"], "release = 0.3 N must lie above 0 and below press"),
-        (["predict", "me.toml", "touch.csv", "--press", "inf"], "below press = inf N"),
-        (["predict", "me.toml", "touch.csv", "--release", "nan"], "release = nan N"),
+        (["predict", "me.toml", "touch.csv", "--press", "0.2"], "--release = 0.3 N must lie above 0 and below --press"),
+        (["predict", "me.toml", "touch.csv", "--press", "inf"], "below --press = inf N"),
+        (["predict", "me.toml", "touch.csv", "--release", "nan"], "--release = nan N"),
         (["predict", "me.toml", "--jsn"], "Unknown option: --jsn"),
         (["predict", "me.toml", "-", "--json"], "leave out --json and -o"),
         (["calibrate", "phantom", "proximal.csv"], "a phantom has no board"),
         (["calibrate", "pulse_oximeter", "proximal.csv"], "has no column 'red:"),
-        (["calibrate", "prototype"], "requires an argument"),
+        (["calibrate", "prototype"], "needs RECORDINGS"),
     ],
 )
 def test_wrong_requests_are_refused(

@@ -610,6 +610,8 @@ def test_the_page_stands_alone_and_the_result_is_kept(computed, tmp_path):
     assert front[0]["on_front"] and shown.count(" *'") == sum(p["on_front"] for p in front)
     assert words.startswith("Force resolution of one sample [mN] by number of photodiodes") and "[body]" in text
     assert words in text and words in PLACEMENT.lines(computed, report)
+    bound = "Resolution: standard error of the force estimated from one sample of all readings, by the Cramér-Rao bound"
+    assert bound in text and any(line.startswith(bound) for line in PLACEMENT.lines(computed, report))
     assert "One photodiode [mN]" in text and ("LEDs tried [mN]" in text) == bool(computed.sizes["led_site"])
     write_dataset(computed, tmp_path / "place.nc")
     with xr.open_dataset(tmp_path / "place.nc") as kept:

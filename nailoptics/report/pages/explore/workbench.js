@@ -206,7 +206,7 @@ function drawPart(kind, part, row) {
 function drawCards() {
   const { result, layout } = workbench, row = result.rows[workbench.chosen.row], cards = [];
   const resolution = (one) => (isKnown(one.value) ? both(one.value, one.error, "N") : ["None", ""]);
-  cards.push([...resolution(resolutionOf(result)), `force resolution of one sample, ${tables.touch.has_body ? "with physiological noise" : "limited by the electronics"}${whyNone(result)}`]);
+  cards.push([...resolution(resolutionOf(result)), `force resolution of one sample (Cramér-Rao bound), ${tables.touch.has_body ? "with physiological noise" : "limited by the electronics"}${whyNone(result)}`]);
   if (!isOwn()) cards.push([...resolution(resolutionOf(ownResult())), "the same of the scene's own layout"]);
   const { prefix, cells } = commonUnit(result.people.map(resolutionOf), (one, i) => isKnown(one.value, people[i])), some = cells.some(([, error]) => error);
   cards.push([some ? cells.map(([number]) => number).join(" · ") : "None", some ? `${prefix}N` : "", `the same for people at the ${people.map((person) => 100 * person.quantile).join(", ")} % quantiles`, "narrow"]);
