@@ -164,7 +164,9 @@ class FingerWalk:
             photon.outcome = dr.select(absorbed, mi.UInt32(sampling.ABSORBED), photon.outcome)
             # Copies that are still to come start with the weight that this one had there.
             copies = dr.select(photon.has_no_copies_left(), copies_of(photon), 0)
-            sampling.roulette(photon, segment.scatterings + 1, copies)
+            deeper = (photon.p.z < photon.roulette_z) & (self.board is not None)
+            photon.roulette_z *= dr.select(deeper, mi.Float(2), 1)
+            sampling.roulette(photon, segment.scatterings + 1, copies, deeper)
             if self.splitting is None and self.acceptance is not None:
                 photon.weight = dr.select(photon.outcome >= DETECTED, photon.weight * accepted, photon.weight)
             if self.splitting is not None:

@@ -226,14 +226,14 @@ def survival(tau: Any) -> Any:
 
 
 @dr.syntax
-def roulette(photon: Photon, steps: Any, copies: Any) -> None:
-    """Add to a photon's steps; where that doubles a long walk, end half of the photons, and let the others count twice;
-    copies : how many photons of its weight go on as one, 0 for one that will be walked once more."""
+def roulette(photon: Photon, steps: Any, copies: Any, deeper: Any = False) -> None:
+    """Add to a photon's steps; where that doubles a long walk, or it is `deeper` than before, end half of the photons,
+    and let the others count twice; copies : how many of its weight go on as one, 0 for one that is walked once more."""
     before = mi.UInt32(photon.steps)
     photon.steps = before + steps
     # Their highest bits differ.
-    doubled = (photon.steps ^ before) > before
-    if (photon.outcome == 0) & (photon.steps >= LONG_WALK) & doubled:
+    doubled = (photon.steps >= LONG_WALK) & ((photon.steps ^ before) > before)
+    if (photon.outcome == 0) & (doubled | deeper):
         ended = photon.rng.next_float32() < 0.5
         # What roulette gives is no absorption.
         gain = photon.weight * copies * survival(photon.tau)

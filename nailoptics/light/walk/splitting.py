@@ -197,13 +197,13 @@ def near_photodiodes(geometry: Geometry) -> tuple[np.ndarray, np.ndarray, np.nda
 def strides_made(geometry: Geometry, led: Face) -> tuple[np.ndarray, np.ndarray]:
     """How many strides light has made in each cell, (nx, ny, nz) uint32, from one LED towards a photodiode, and the
     cells' lower corner, (3,) float [mm]; no cells where there are none to make."""
-    away = np.array([np.linalg.norm(_centre(face) - _centre(led)) for face in geometry.photodiodes])
+    middles = np.array([face.center_mm for face in geometry.photodiodes])
+    away = np.linalg.norm(middles - led.center_mm, axis=1)
     most = np.minimum(np.floor((away - LEAST_DISTANCE_MM) / STRIDE_MM), MOST_STRIDES)
     far = np.flatnonzero(most > 0)
     if not len(far):
         return np.zeros((1, 1, 1), np.uint32), np.zeros(3)
-    centres = np.array([_centre(geometry.photodiodes[i]) for i in far])
-    reach = (away[far] - STRIDE_MM)[:, None]
+    centres, reach = middles[far], (away[far] - STRIDE_MM)[:, None]
     low, high = (centres - reach).min(0), (centres + reach).max(0)
     x, y, z = (axis.astype(np.float32) for axis in _middles(low, high, STRIDE_CELL_MM))
     made = np.zeros((len(x), len(y), len(z)), np.float32)
@@ -216,7 +216,3 @@ def strides_made(geometry: Geometry, led: Face) -> tuple[np.ndarray, np.ndarray]
 def _middles(low: np.ndarray, high: np.ndarray, cell_mm: float) -> list[np.ndarray]:
     """Middles of the cells of a size from corner to corner (d,), along each axis. [mm]"""
     return [a + cell_mm * (np.arange(np.ceil((b - a) / cell_mm)) + 0.5) for a, b in zip(low, high, strict=True)]
-
-
-def _centre(face: Face) -> np.ndarray:
-    return np.asarray(np.asarray(face.quads).reshape(-1, 3).mean(0))
