@@ -166,10 +166,11 @@ def _window(
         return out | dict.fromkeys(WHILE_STILL, np.nan)
     ratio, stderr = deming_slope(pulse[0, still], pulse[1, still], noise, values=independent * still.sum())
     # A pulse's height from the middle of its beats' own.
+    peaks = np.searchsorted(even_s, beats.peak_s)
     heights = [
-        np.ptp(pulse[:, window], axis=1)
-        for start, end in zip(beats.peak_s, beats.peak_s[1:], strict=False)
-        if (window := still & (beat := (even_s >= start) & (even_s < end))).sum() > 0.8 * beat.sum()
+        np.ptp(pulse[:, beat][:, still[beat]], axis=1)
+        for beat in map(slice, peaks, peaks[1:])
+        if still[beat].sum() > 0.8 * (beat.stop - beat.start)
     ]
     index = np.median(heights, axis=0) if heights else np.full(2, np.nan)
     return out | dict(zip(WHILE_STILL, (ratio, stderr, *index), strict=True))
