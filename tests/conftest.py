@@ -27,7 +27,7 @@ from nailoptics.light import backend  # noqa: E402
 # What a script starts in its background ignores Ctrl-C, and so would the commands that tests start and interrupt.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 # As on the command line: there is much that stays, which the collector would scan again and again.
-gc.set_threshold(10_000)
+gc.set_threshold(100_000)
 # No test reads or writes the user's store; those that test one have their own.
 os.environ["NAILOPTICS_STORE"] = "off"
 # Names of browsers that can show pages; NAILOPTICS_BROWSER may give the path of another.
