@@ -13,8 +13,8 @@ COARSE_MM = 0.4
 PHOTONS_FROM_OUTSIDE, ROUGH_PHOTONS = 1 << 13, 1 << 14
 # Of the table of light between places of a board.
 FEW_NODES = {"DISTANCE_MM": (0.0, 1.2, 3.5), "BESIDE_WALL_MM": (0.0, 0.6), "PAIRS": 1 << 15}
-# Of the touches that a sensor is calibrated with, and of what a calibration requires: a third to two thirds.
-SHORT_PROTOCOL = {"SIDE_S": 30.0, "LEAST_TOUCHES": 4, "LEAST_LEVELS": 8}
+# Of the touches that a sensor is calibrated with, and of what a calibration requires: two fifths of the time.
+SHORT_PROTOCOL = {"SIDE_S": 30.0, "LEAST_TOUCHES": 4, "LEAST_LEVELS": 8, "HOLD_S": (0.3, 1.0), "CLOSING_S": 8.0}
 
 
 def in_coarse_cells(distance: ModuleType) -> None:
