@@ -131,8 +131,7 @@ def _with_options(line: str, arguments: list[str]) -> str:
     """A message with the command's options for its function's arguments: --force[0] = -1.0 for forces_n[0] = -1.0."""
     command = app.parse_commands(arguments)[1][-1]
     for option in command.assemble_argument_collection() if command is not app else ():
-        name = option.field_info.name.strip("_")
-        line = re.sub(rf"(^|below ){name}(?=(\[\d+\])? =)", rf"\g<1>{option.name}", line)
+        line = re.sub(rf"(^|below ){option.field_info.name.strip('_')}(?=(\[\d+\])? =)", rf"\g<1>{option.name}", line)
         if option.field_info.kind is not option.field_info.KEYWORD_ONLY:
             line = line.replace(f"parameter {option.name} requires an argument", f"needs {option.name[2:].upper()}")
     return line
@@ -182,25 +181,15 @@ def trace(scene: ScenePath, *, output: File = None, options: Traced = TRACED) ->
     finish({"transfer": output} if output else {}, rest.as_dict(), rest_lines(rest), options.json, unmet, output)
 
 
-@Parameter(name="*")
-@dataclass(frozen=True, kw_only=True)
-class View:
-    """Viewing conditions of the nail's colour, instead of the scene's [colour]."""
-
-    forces_n: Annotated[tuple[float, ...] | None, Parameter(name="--force", negative="")] = None
-    """Held forces, the first to compare with. May be repeated. [N]"""
-    illuminant: Illuminant | None = None
-    """Daylight, an incandescent lamp, or a white LED."""
-    tolerance: float | None = None
-    """Standard error of the colour at every position (CIEDE2000)."""
-
-
-VIEW = View()
-
-
 @app.command
 def colour(
-    scene: ScenePath, *, view: View = VIEW, photograph: bool | None = None, options: ColourStudy = OF_COLOUR
+    scene: ScenePath,
+    *,
+    forces_n: Annotated[tuple[float, ...] | None, Parameter(name="--force", negative="")] = None,
+    illuminant: Illuminant | None = None,
+    tolerance: float | None = None,
+    photograph: bool | None = None,
+    options: ColourStudy = OF_COLOUR,
 ) -> None:
     """Trace the colour of the bare nail and the skin around it under force, as in the paper's Fig. 2.
 
@@ -208,6 +197,9 @@ def colour(
     rest and pressed.
 
     Args:
+        forces_n: Held forces, the first to compare with. May be repeated. [N]
+        illuminant: Daylight, an incandescent lamp, or a white LED.
+        tolerance: Standard error of the colour at every position (CIEDE2000).
         photograph: Render the finger at rest and pressed (some seconds); by default unless --max-seconds is given.
     """
     from .report.pages.colour import COLOUR
@@ -215,7 +207,9 @@ def colour(
 
     loaded = _load(scene, options)
     folder = _results(options.output, scene, COLOUR)
-    result, unmet = traced(study, loaded, **vars(view), options=options)
+    result, unmet = traced(
+        study, loaded, forces_n=forces_n, illuminant=illuminant, tolerance=tolerance, options=options
+    )
     pictures: list[Any] = []
     try:
         ended = unmet and (not photograph or str(unmet).startswith("interrupted"))
@@ -324,28 +318,14 @@ def explore(scene: ScenePath, *, output: Output = Path("explore.html"), options:
     finish({"page": output}, *shown(EXPLORATION, result, bytes=output.stat().st_size), options.json, unmet, output)
 
 
-@Parameter(name="*")
-@dataclass(frozen=True, kw_only=True)
-class Distribution:
-    """How the scenes of a batch are distributed."""
-
-    workers: int | None = None
-    """Processes on this machine; one per core if not given."""
-    scheduler: str | None = None
-    """Dask scheduler to use instead, such as tcp://host:8786."""
-    shard: str | None = None
-    """I/N: run only the I-th of N parts, for job arrays."""
-
-
-DISTRIBUTION = Distribution()
-
-
 @app.command
 def batch(
     sweep: Path,
     *,
     output: File = None,
-    distribution: Distribution = DISTRIBUTION,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    shard: str | None = None,
     dry_run: Flag = False,
     retry_failed: Flag = False,
     status: Flag = False,
@@ -358,6 +338,9 @@ def batch(
     Args:
         sweep: A sweep file (TOML); with --status, the folder of a batch.
         output: Folder of the batch.
+        workers: Processes on this machine; one per core if not given.
+        scheduler: Dask scheduler to use instead, such as tcp://host:8786.
+        shard: I/N: run only the I-th of N parts, for job arrays.
         dry_run: Show how many scenes the sweep has and how many traces they share, and exit.
         retry_failed: Retry the scenes that failed before.
         status: Show the batch's progress and exit.
@@ -377,10 +360,12 @@ def batch(
         return finish({}, counts, ["{scenes} scenes, {traces} traces for all".format(**counts)], options.json)
     if output is None:
         raise InputError("batch needs -o DIR, a folder for its results.")
-    how = vars(distribution) | {"retry_failed": retry_failed, "shown": terminal.batch_progress}
+    how: dict[str, Any] = {"workers": workers, "scheduler": scheduler, "shard": shard, "retry_failed": retry_failed}
     unmet = None
     try:
-        outcome, unmet = traced(batches.run_batch, planned, output, options=options, **how)
+        outcome, unmet = traced(
+            batches.run_batch, planned, output, options=options, shown=terminal.batch_progress, **how
+        )
         paths = write_sweep(batches.open_results(output), output, failures=outcome.failed)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"interrupted; finished scenes are in {output}, run again to resume.") from None
@@ -538,21 +523,22 @@ def protocol(
         donnings: How often the sensor is put on; with 2 it is taken off and put on again halfway.
     """
     from .report.pages.protocol import live_columns, page, serve
-    from .scene import load_scene
+    from .scene import digest, load_scene, to_toml
     from .scene.importers.sensor_recordings import samples_by_line
     from .scene.protocol import protocol as draw
 
-    drawn, rate_hz = draw(seed, donnings=donnings), load_scene(scene).touch.sample_rate_hz
+    drawn, loaded = draw(seed, donnings=donnings), load_scene(scene)
+    made: dict[str, Any] = {"seed": seed, "digest": digest(loaded), "scene": to_toml(loaded)}
     _check_file(output, ".csv", "the file of a protocol")
     measured = samples_by_line(terminal.text_lines(sys.stdin), live_columns) if force else None
-    drawn.save(output, sample_rate_hz=rate_hz)
+    drawn.save(output, sample_rate_hz=loaded.touch.sample_rate_hz)
     paths = {"protocol": output, "report": output.with_suffix(".html")}
-    write_text(paths["report"], page(drawn))
+    write_text(paths["report"], page(drawn, **made))
     line = f"{drawn.time_s[-1]:.0f} s of touches, first of the proximal side, then of the distal one"
     finish(paths, {"duration_s": float(drawn.time_s[-1])}, [line], json_)
     if measured is not None:
         with suppress(KeyboardInterrupt):
-            serve(drawn, measured, say)
+            serve(drawn, measured, say, **made)
 
 
 @app.command

@@ -26,6 +26,8 @@ PA_PER_M_OF_BLOOD, PA_PER_N_PER_CM2 = 1.04e4, 1e4
 FAR_FROM_LIST = 100.0
 # Of those so many are named.
 FAR_NAMED = 10
+# Fingertips touch with less than this where a pin presses, or centimetres were meant. [mm^2]
+SMALL_AREA_MM2 = 10.0
 _BEYOND_THE_PAPER = ("venular_share", "venular_closing_pressure_pa")
 
 
@@ -169,8 +171,8 @@ def _scaled(constants: Parameters, factors: Mapping[str, PerBed]) -> Parameters:
 
 
 def far_from_list(*scenes: Scene) -> list[str]:
-    """A warning, one for all scenes, of constants of the vessels that are farther off the paper's than a factor of
-    `FAR_FROM_LIST`. A scene whose vessels cannot be has none, and fails where it is simulated."""
+    """Warnings, one each for all scenes, of constants of the vessels that are farther off the paper's than a factor of
+    `FAR_FROM_LIST`, where they can be, and of a small area of contact."""
     far = dict[str, None]()
     for scene in scenes:
         with suppress(InputError):
@@ -180,7 +182,12 @@ def far_from_list(*scenes: Scene) -> list[str]:
                 far |= {f"{name} = {value:g} (listed {math.sqrt(low * high):g})": None for value in outside}
     text = f"more than {FAR_FROM_LIST:g} times off the paper's list, whose orders of magnitude are right"
     more = [f"and {len(far) - FAR_NAMED} more"] if len(far) > FAR_NAMED else []
-    return [f"blood.tuning: {text}: {', '.join([*far][:FAR_NAMED] + more)}"] if far else []
+    lines = [f"blood.tuning: {text}: {', '.join([*far][:FAR_NAMED] + more)}"] if far else []
+    if (area_mm2 := min(scene.touch.contact_area_mm2 for scene in scenes)) < SMALL_AREA_MM2:
+        lines.append(
+            f"touch.contact_area_mm2 = {area_mm2:g}: fingertips touch with 50 to 200 mm^2 (1 cm^2 is 100 mm^2)"
+        )
+    return lines
 
 
 def with_posture(parameters: Parameters, body: Body | None) -> Parameters:

@@ -282,10 +282,6 @@ class CardiacOscillator:
         """Which harmonics samples so far apart resolve."""
         return resolved_harmonics(self.rate_hz, len(self.rms_pa), 0.5 / step_s)
 
-    def initial_variance(self) -> Array:
-        """Variances (size,) of the states of a beat whose phase is not known yet."""
-        return np.concatenate([[RATE_SPREAD**2], np.repeat(np.square(self.rms_pa), 2)])
-
     def propagate(self, state: Array, step_s: float) -> tuple[Array, Array, Array]:
         """The state (size,) after a step [s], its Jacobian, and the covariance of the process noise, (size, size) each.
 

@@ -139,9 +139,13 @@ def _names_beside(scene: Scene) -> list[list[tuple[Rectangle, str]]]:
         others.append((Rectangle("", lowest.u_min + 0.1, lowest.u_max, lowest.v_min, lowest.v_max), "not wired"))
     sides = [(1, *one) for one in right] + [(1 if r.center_mm[0] > middle else -1, r, name) for r, name in others]
     parts = [*layout.leds, *layout.photodiode_areas]
-    return [
-        [(r, name) for side, r, name in sides if way == (-side if _hidden(r, side, parts) else side)] for way in (-1, 1)
-    ]
+    groups: dict[int, list[tuple[Rectangle, str]]] = {-1: [], 1: []}
+    for side, r, name in sides:
+        u, v = r.center_mm
+        right_of = [other.center_mm[0] > u for other in parts if other != r and other.v_min < v < other.v_max]
+        is_hidden = (side == 1) in right_of and (side != 1) not in right_of
+        groups[-side if is_hidden else side].append((r, name))
+    return [*groups.values()]
 
 
 def _label_parts(
@@ -162,13 +166,6 @@ def _label_parts(
             v, u = r.center_mm[1], [getattr(r, bound), edge, edge + side * 0.37]
             axes.plot(u, [v, v, place], color=style.DARK_INK, lw=0.6, zorder=3.5)  # behind the parts
             axes.text(edge + side * LABEL_MM, place, style.plain(name), **look)
-
-
-def _hidden(r: Rectangle, side: int, parts: Sequence[Rectangle]) -> bool:
-    """Whether other parts lie between a part and the board's edge on a side, 1 the right one, and none on the other."""
-    u, v = r.center_mm
-    to_the_right = [other.center_mm[0] > u for other in parts if other != r and other.v_min < v < other.v_max]
-    return (side == 1) in to_the_right and (side != 1) not in to_the_right
 
 
 def _cut(result: xr.Dataset) -> xr.DataArray:

@@ -16,6 +16,7 @@ from .files import run_summary
 from .html import texts
 from .maps import order_along_nail
 from .numbers import ASCII, aligned, estimated, prefix, quantity, significant, with_error, with_stderr
+from .scene_description import CAUSES
 from .uncertainty_section import spread_summary
 
 # Residuals of the reduced optics, and spreads over the priors where they were computed.
@@ -126,7 +127,7 @@ def disturbance_lines(result: xr.Dataset) -> list[str]:
         lines.append(TEXTS["ambient"].format(estimated(most, "ambient_volts"), most.photodiode.item(), *rest))
     if "false_force_n" in result:
         forces = zip(result.disturbance.values, result.false_force_n.values, strict=True)
-        shown = ", ".join(f"{name} {quantity(float(force_n), 'N')}" for name, force_n in forces)
+        shown = ", ".join(f"{CAUSES.get(name, name)} {quantity(float(force_n), 'N')}" for name, force_n in forces)
         lines.append(TEXTS["false_force"].format(shown))
     return lines
 

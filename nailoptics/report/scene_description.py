@@ -58,7 +58,8 @@ def body_words(scene: Scene) -> str:
         return ""
     parts = [f"{' and '.join(body.recorded)} recorded in {body.file}"] if body.recorded else []
     for name, wave in body.waves.items():
-        parts.append(f"{name}, {rate:g} a minute" if (rate := getattr(wave, "rate_per_min", None)) else name)
+        rate = getattr(wave, "rate_per_min", None)
+        parts.append(CAUSES.get(name, name) + (f", {rate:g} a minute" if rate else ""))
     parts += [words for words, is_there in (("drift", body.drift), ("motion of the sensor", body.motion)) if is_there]
     return ", ".join(parts)
 

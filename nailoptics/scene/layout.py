@@ -143,7 +143,10 @@ def _outline(board: Board, border: Border, parts: list[tuple[str, Rectangle]], f
     for name, r in parts:
         across = min(r.u_min - outline.u_min, outline.u_max - r.u_max)
         off = min(across, r.v_min - outline.v_min, outline.v_max - r.v_max) < ROUNDING_MM
-        if off or (border and not _lies_within(r, *border)):
+        # Along the part's own edges.
+        edges = [[turned(corner, -r.rotation_deg) for corner in line] for line in border]
+        half_mm = (r.size_mm[0] / 2, r.size_mm[1] / 2)
+        if off or (border and not has_room(turned(r.center_mm, -r.rotation_deg), half_mm, edges[0], edges[1:])):
             cure = "move it or enlarge board.size_mm"
             if board.outline_mm is not None:
                 cure = "move it, or give board.origin, the point of the file on the nail's centre"
@@ -151,13 +154,6 @@ def _outline(board: Board, border: Border, parts: list[tuple[str, Rectangle]], f
             where = f"{name} at ({u:g}, {v:g}) mm"
             raise ValueError(f"{where} reaches over the edge of the board, of a hole in it or of the nail; {cure}")
     return outline
-
-
-def _lies_within(part: Rectangle, border: Polygon, *holes: Polygon) -> bool:
-    """Whether a part lies within a border and off its holes, seen along the part's own edges."""
-    lines = [[turned(corner, -part.rotation_deg) for corner in line] for line in (border, *holes)]
-    width, length = part.size_mm
-    return has_room(turned(part.center_mm, -part.rotation_deg), (width / 2, length / 2), lines[0], lines[1:])
 
 
 def lay_elements(board: Board, photodiodes: tuple[Photodiode, ...]) -> tuple[list[Element], list[Rectangle]]:

@@ -354,7 +354,7 @@ class Verdict:
     """Whether a fitted model stays within a tolerance for every LED and photodiode over a whole sweep.
 
     sure : probability with which it does so, or does not, by the traces' noise; readings : how many were compared.
-    surely_within : how many of these stay within it, each with a probability of 95 %.
+    surely_within, undecided : how many of these stay within it, each with 95 % probability, and of how many it is open.
     worst_error : of the reading that is furthest off, as a fraction of its swing.
     worst_low, worst_high : what the largest error of all readings lies between, 95 % sure.
     """
@@ -371,6 +371,7 @@ class Verdict:
     sure: float
     readings: int
     surely_within: int
+    undecided: int
 
 
 def verdict(result: xr.Dataset, tolerance: float, *, model: str = "taylor") -> Verdict:
@@ -404,4 +405,5 @@ def verdict(result: xr.Dataset, tolerance: float, *, model: str = "taylor") -> V
         sure=max(met, missed),
         readings=error.size,
         surely_within=int(np.sum(below >= SURE)),
+        undecided=int(np.sum(np.abs(below - 0.5) < SURE - 0.5)),
     )

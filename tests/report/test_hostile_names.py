@@ -125,6 +125,7 @@ def test_hostile_names_are_text_on_the_page_of_a_calibration(name, monkeypatch):
     factor = {"value": 1.0, "stderr": 0.1, "prior": name, "informed": True, "what": name}
     scores = dict.fromkeys(("rms_n", "relative_error", "coverage_95", "half_width_n"), 0.1)
     summary = {"rms_n": 0.1, "chi2_per_dof": 1.0, "half_width_n": 0.2, "is_held_out": True, "warnings": [name]}
+    summary["coverage_95"] = 0.9
     summary |= {"quality": {name: scores}}
     summary |= {"parameters": {name: factor}, "readings": {name: dict.fromkeys(numbers, 1.0)}}
     monkeypatch.setattr(force, "calibration_summary", lambda _: summary)

@@ -14,7 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.report import maps, style
-from nailoptics.report.pages.simulate import SIMULATION, page
+from nailoptics.report.pages.simulate import SIMULATION, courses, page
 from nailoptics.scene import parse_scene, to_toml
 
 VOID = {"meta", "br"}
@@ -352,6 +352,20 @@ def test_a_page_that_cannot_be_written_leaves_the_old_one(undrawn, make, tmp_pat
     with pytest.raises(InputError, match="No space left"):
         SIMULATION.write(result, tmp_path)
     assert path.read_text(encoding="utf-8") == "old" and sorted(os.listdir(tmp_path)) == ["report.html", "result.nc"]
+
+
+def test_names_of_courses_lie_on_no_curve(make):
+    """Touches that fill every panel from its left to its right, where no place among the curves is free."""
+    result = make(section=False)
+    swing = np.abs((np.arange(result.sizes["time"]) / 7) % 2 - 1)
+    full = {n: (result[n].dims, result[n].values * 0 + swing) for n in ("blood_fraction", "capillary_diameter_m")}
+    drawn = courses(result.assign(full))
+    FigureCanvasAgg(drawn).draw()
+    boxes = [(axes, axes.get_legend().get_window_extent()) for axes in drawn.axes if axes.get_legend()]
+    assert len(boxes) >= 2
+    for axes, box in boxes:
+        for line in axes.get_lines():
+            assert not line.get_path().transformed(axes.transData).intersects_bbox(box, filled=False)
 
 
 def test_on_a_telephone_what_is_wider_scrolls_within_its_box_and_shows_that(browser, make):

@@ -51,6 +51,19 @@ def _pass_s(tab: Any, seconds: int) -> None:
     tab.clock.run_for(1000)
 
 
+def test_the_whole_protocol_has_axes_with_units(tab: Any, tmp_path: Path) -> None:
+    (tmp_path / "protocol.html").write_text(page(DRAWN), encoding="utf-8")
+    tab.goto((tmp_path / "protocol.html").as_uri())
+    written = """() => {
+      const shown = [], write = CanvasRenderingContext2D.prototype.fillText;
+      CanvasRenderingContext2D.prototype.fillText = (text) => shown.push(text);
+      draw_whole(0);
+      CanvasRenderingContext2D.prototype.fillText = write;
+      return shown;
+    }"""
+    assert {"force [N]", "time [min]", "0", "1", "2", "3"} <= set(tab.evaluate(written))
+
+
 def test_a_click_starts_the_line_and_another_holds_it(tab: Any, tmp_path: Path) -> None:
     (tmp_path / "protocol.html").write_text(page(DRAWN), encoding="utf-8")
     tab.clock.install()
@@ -120,6 +133,9 @@ def test_lines_that_are_no_force_end_it_with_one_line(tmp_path: Path, lines: str
 def test_the_command_writes_a_page_beside_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["protocol", "prototype", "-o", str(tmp_path / "p.csv"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["report"] == str(tmp_path / "p.html")
-    assert "connect-src" not in (tmp_path / "p.html").read_text()
+    text = (tmp_path / "p.html").read_text()
+    assert "connect-src" not in text and "Digest of the scene" in text and "nailoptics=" in text and "<dt>Seed" in text
+    assert "The sensor stays on throughout" in text and "take the sensor off and put it on" not in text
+    assert "take the sensor off and put it on" in page(protocol(3, donnings=2))
     assert run(["protocol", "prototype", "-o", str(tmp_path / "p.txt")]) == 2
     assert "ends in .csv" in capsys.readouterr().err and not (tmp_path / "p.txt").exists()

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from hostile_names import HOSTILE, assert_text_alone
 
+from nailoptics.report.pages.force import CALIBRATION
 from nailoptics.report.readings import hold_end, photodiode_readings, simulation_lines, simulation_summary
-from nailoptics.report.scene_description import check_lines
+from nailoptics.report.scene_description import body_words, check_lines
 from nailoptics.report.uncertainty_section import spread_section, spread_summary
+from nailoptics.scene import load_scene
 
 
 def test_the_terminal_and_the_page_have_one_definition_of_a_change(make):
@@ -101,6 +103,18 @@ def test_a_saturated_reading_has_no_prior_uncertainty(make):
     assert "10-70 %" in spread_summary(result)["conclusions"][0]
     result.saturated[:] = True
     assert spread_summary(result)["conclusions"] == []
+
+
+def test_slow_waves_are_called_mayer_waves():
+    assert body_words(load_scene("heartbeat")).endswith("breathing, 15 a minute, Mayer waves")
+
+
+def test_the_error_of_a_calibration_and_its_interval_are_of_the_same_touches():
+    scores = {"rms_n": 0.059, "coverage_95": 0.96, "half_width_n": 0.11}
+    (line,) = CALIBRATION.lines(None, {"is_held_out": True, "quality": {"all": scores}})
+    which, how = line.split(": ")
+    assert which == "held-out touches of 0.15 N or more"
+    assert how == "rms error 59 mN, 96% inside their 95 % interval, half width 110 mN (median)"
 
 
 def test_a_check_is_reported_in_sentences():

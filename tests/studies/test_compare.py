@@ -279,6 +279,7 @@ def test_the_verdict_needs_all_readings(tolerance, outcome):
     for within in (tolerance, largest, 2 * largest):
         one = verdict(result, within)
         assert (one.surely_within == one.readings) == (one.outcome == "met")
+        assert bool(one.undecided) == (one.outcome == "undecided")
         assert f" {100 * within:g} % of the swing" in verdict_line(one)
 
 
@@ -402,3 +403,15 @@ def test_the_page_shows_hostile_names_as_text(tmp_path):
     text = page(result.assign_coords(led=[HOSTILE[0]], photodiode=names))
     for name in names:
         assert_text_alone(text, name)
+
+
+@pytest.mark.long
+def test_the_page_names_undecided_readings_apart():
+    """Expected: where errors lie at the tolerance the page says that it is open, elsewhere no word of it."""
+    draw = np.random.default_rng(5).gamma(2.0, 2.0, (2, 3000))
+    result = evaluated(synthetic(*draw), "blood")
+    none = 0 * result.range_error
+    for error, words in ((0.05, "0 of {0} ({0} undecided)"), (0.2, "0 of {0}"), (1e-3, "{0} of {0}")):
+        alike = result.assign(range_error=none + error, range_error_stderr=none + 1e-3)
+        title = f"Taylor (9) holds to 5 % for {words.format(verdict(alike, 0.05).readings)} readings over"
+        assert title in page(alike)

@@ -120,6 +120,17 @@ def test_a_scene_in_ambient_light_is_checked_without_a_compiling_backend(monkeyp
         with_fitted_resistors(usual.model_copy(update={"electronics": Electronics(feedback_ohm="auto")}))
 
 
+def test_an_area_of_contact_in_square_centimetres_is_warned_of(tmp_path, capfd):
+    text = (data_dir("scenes") / "prototype.toml").read_text(encoding="utf-8")
+    assert not any("contact_area" in w for w in check(parse_scene(text))["warnings"])
+    small = text.replace("contact_area_mm2 = 100.0", "contact_area_mm2 = 1.0")
+    (line,) = (w for w in check(parse_scene(small))["warnings"] if "contact_area" in w)
+    assert line == "touch.contact_area_mm2 = 1: fingertips touch with 50 to 200 mm^2 (1 cm^2 is 100 mm^2)"
+    (tmp_path / "small.toml").write_text(small.replace("[light]", '[light]\nengine = "photons"'), encoding="utf-8")
+    assert run(["simulate", str(tmp_path / "small.toml"), "-o", str(tmp_path), "--backend", "scalar"]) == 2
+    assert line in capfd.readouterr().err
+
+
 def test_vessels_far_off_the_list_are_named_by_check_and_simulate(tmp_path, capfd):
     text = (data_dir("scenes") / "prototype.toml").read_text(encoding="utf-8")
     tuned = text.replace("so2 = 0.97", "so2 = 0.97\ntuning = { capillary_stiffness_n_per_m = 1e-9 }")

@@ -12,7 +12,7 @@ from ...statistics import Z95
 from .. import style
 from ..files import Report, run_summary
 from ..html import document, figure, image, section, small, table, texts
-from ..numbers import aligned, estimated, plain, range_of, significant
+from ..numbers import ASCII, aligned, estimated, plain, range_of, significant
 
 TEXTS = texts("colour")
 
@@ -189,10 +189,12 @@ def summary(result: xr.Dataset) -> dict[str, Any]:
 def lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
     """The same in a few lines for a terminal."""
     lines, errors = aligned(_by_force(result)), (summary["colour_stderr"], summary["change_stderr"])
+    lines += [TEXTS["middle"].translate(ASCII), f"seen by {seen_by(result)}"]
     lines.append("standard error of a place's colour at most {:.2g}, of a change {:.2g} (CIEDE2000)".format(*errors))
     if "lab_spread" in summary:
-        stds = "  ".join(f"{value:.1f}" for value in summary["lab_spread"]["nail"])
-        lines.append(f"standard deviation of the nail's L*, a*, b* over the priors of the finger: {stds}")
+        nail = zip(result.band.values, summary["lab_spread"]["nail"], strict=True)
+        stds = ", ".join(f"{band} {value:.1f}" for band, value in nail)
+        lines.append(f"standard deviation of the nail's colour over the priors of the finger: {stds}")
     return lines
 
 

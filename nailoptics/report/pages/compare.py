@@ -29,7 +29,7 @@ def page(result: xr.Dataset) -> str:
     over = "range of saturation" if decision.sweep == "saturation" else f"{decision.sweep} range"
     return document(
         kicker="reduced optics against traced light",
-        title=TEXTS["title"].format(decision.surely_within, decision.readings, over),
+        title=TEXTS["title"].format(_counted(decision), over),
         lead=verdict_line(decision),
         cards=_cards(result),
         body=[_led_section(result, led) for led in range(result.sizes["led"])],
@@ -55,13 +55,19 @@ def _cards(result: xr.Dataset) -> list[tuple[str, str]]:
     for within in (0.01, 0.05):
         taylor, exact = (verdict(result, within, model=model) for model in FORMULAS)
         words = TEXTS["meet"].format(100 * within, taylor.sweep)
-        cards.append((f"{taylor.surely_within} and {exact.surely_within} of {taylor.readings}", words))
+        cards.append((f"{_counted(taylor)}; {_counted(exact)}", words))
     parts = np.abs(result.isel(sweep=0, point=-1).sel(way="fitted").part_error).median(("led", "photodiode"))
     # A part that no time was left to trace is not known.
     if (known := parts.dropna("part")).size:
         words = TEXTS["largest"].format(PARTS[str(known.part.values[int(known.values.argmax())])]["label"])
         cards.append((f"{significant(100 * float(known.max()), 2)} %", words))
     return cards
+
+
+def _counted(decision: Verdict) -> str:
+    """How many readings a model meets; those of which the traces do not decide it are named apart."""
+    undecided = f" ({decision.undecided} undecided)" if decision.undecided else ""
+    return f"{decision.surely_within} of {decision.readings}{undecided}"
 
 
 def _limits(result: xr.Dataset, led: int) -> tuple[list[dict[str, str]], list[str]]:

@@ -23,8 +23,8 @@ def calibration_page(result: xr.Dataset) -> str:
     """The page of a calibration."""
     summary, count = calibration_summary(result), len(result.attrs["recordings"])
     cards = [
-        (f"{significant(1e3 * summary['rms_n'], 2)} mN", f"rms error of the force of {_judged_on(summary)}"),
-        (f"± {significant(1e3 * summary['half_width_n'], 2)} mN", "median 95 % interval of a touch"),
+        (f"{significant(1e3 * summary['rms_n'], 2)} mN", f"rms error of the force, {_judged_on(summary)}"),
+        (f"± {significant(1e3 * summary['half_width_n'], 2)} mN", TEXTS["half_width"].format(summary["coverage_95"])),
         (significant(summary["chi2_per_dof"], 2), "chi-squared per degree of freedom"),
     ]
     return document(
@@ -58,7 +58,7 @@ def _subject_page(subject: Subject) -> str:
 
 def _judged_on(summary: dict[str, Any]) -> str:
     """The touches that a calibration's errors are of, in words."""
-    return "held-out touches" if summary["is_held_out"] else "touches that it was fitted to"
+    return f"{TEXTS['held_out' if summary['is_held_out'] else 'fitted']} of {TOUCH_N:g} N or more"
 
 
 def _touches_section(touches: dict[str, dict[str, float]], heading: str = "How well the touches are estimated") -> Html:
@@ -239,7 +239,7 @@ def _subject_summary(subject: Subject) -> dict[str, Any]:
         "parameters": subject.factor_table(),
         "chi2_per_dof": subject.quality.chi2_per_dof,
         "rms_n": subject.quality.rms_n,
-        "half_width_n": subject.quality.touches["all"]["half_width_n"],
+        **{name: subject.quality.touches["all"][name] for name in ("half_width_n", "coverage_95")},
         "is_held_out": subject.ensemble is not None,
         "quality": subject.quality.touches,
         "weights": {name: both.tolist() for name, both in weights.items()},
@@ -267,9 +267,12 @@ def prediction_summary(result: xr.Dataset) -> dict[str, Any]:
     }
 
 
-def _half_width(half_width_n: float) -> str:
-    """Half the width of most intervals in words."""
-    return f"+- {1e3 * half_width_n:.0f} mN (median)" if math.isfinite(half_width_n) else "mostly without upper bound"
+def _touches_line(which: str, scores: dict[str, float]) -> str:
+    """How well touches are estimated: error, coverage and the interval's half width, all of the same samples."""
+    half_n = scores["half_width_n"]
+    width = f"half width {1e3 * half_n:.0f} mN (median)" if math.isfinite(half_n) else "mostly without upper bound"
+    inside = f"{scores['coverage_95']:.0%} inside their 95 % interval, {width}"
+    return f"{which}: rms error {1e3 * scores['rms_n']:.0f} mN, {inside}"
 
 
 def _prediction_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
@@ -280,8 +283,7 @@ def _prediction_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
     if math.isfinite(summary["rms_n"]):
         lines.append(f"rms {1e3 * summary['rms_n']:.0f} mN, {summary['coverage_95']:.0%} inside their 95 % interval")
     if math.isfinite(summary["touch_rms_n"]):
-        rms = f"rms {1e3 * summary['touch_rms_n']:.0f} mN, {summary['touch_coverage_95']:.0%} inside"
-        lines.append(f"touches of {TOUCH_N:g} N or more: {rms}; interval {_half_width(summary['half_width_n'])}")
+        lines.append(_touches_line(f"touches of {TOUCH_N:g} N or more", summary["touches"]["all"]))
     if not summary["consistent"]:
         lines.append(f"the readings are inconsistent with this subject: {summary['misfit']}.")
     return lines
@@ -291,10 +293,7 @@ CALIBRATION = Report(
     ("subject.toml", "subject.html"),
     calibration_page,
     calibration_summary,
-    lambda _, s: [
-        f"rms error of {_judged_on(s)} {1e3 * s['rms_n']:.0f} mN; "
-        f"interval that covers 95 % of these {_half_width(s['half_width_n'])}"
-    ],
+    lambda _, summary: [_touches_line(_judged_on(summary), summary["quality"]["all"])],
     {"fit": _fit_figure},
     lambda result: {"subject.toml": result.attrs["subject"]},
 )

@@ -69,10 +69,9 @@ def page(result: xr.Dataset) -> str:
         body=[
             section(
                 "The ranking",
-                figure(ranking_figure(result), TEXTS["ranking"], narrow=True),
+                figure(ranking_figure(result), f"{TEXTS['ranking']} {rough_words(ranking)}".strip(), narrow=True),
                 table(_ranking_rows(ranking[:SHOWN]), kind="dense"),
                 *map(small, [TEXTS["columns_explained"], TEXTS["notes"], *_people(ranking)]),
-                small(rough_words(ranking)),
                 small(checked),
                 small(_bound(result)),
             ),
@@ -97,6 +96,8 @@ def _lead(result: xr.Dataset, ranking: list[dict[str, Any]]) -> str:
         places = ("{} at ({:.3g}, {:.3g})".format(led.name, *led.center_mm) for led in best.layout.leds)
         name = f"The layout with {', '.join(places)} mm"
     force, low, high = (quantity(first[f"force_resolution_{end}n"], "N") for end in ("", "low_", "high_"))
+    few = first["roughly_known"] or bool(np.isnan(result.predicted_volts_stderr).any())
+    high += ", too narrow: too few photons" if few else ""
     fingers = result.sizes["finger"]
     over = "" if fingers == 1 else f", {rules.over_fingers} of {fingers} fingers"
     if rules.people:

@@ -84,8 +84,11 @@ def front_figure(result: xr.Dataset, words: str, factor: float, unit: str) -> "s
     for j, colour in enumerate(style.place_colours(len(powers))):
         at = result.isel(led_power_mw=j)
         value, error = factor * at.front_error.values, factor * at.front_error_stderr.values
-        axes.errorbar(counts, value, error, color=colour, lw=1.2, capsize=2, label=quantity(1e-3 * powers[j], "W"))
-        axes.scatter(counts, value, 34, np.where(at.on_front, colour, "#ffffff"), edgecolors=colour, zorder=3)
+        # Beside each other, as powers that resolve alike would hide each other.
+        at_counts = counts + 0.025 * max(np.ptp(counts), 1) * (j - (len(powers) - 1) / 2)
+        look: dict[str, Any] = {"color": colour, "lw": 1.2, "capsize": 2, "ls": ("-", "--")[j % 2]}
+        axes.errorbar(at_counts, value, error, label=quantity(1e-3 * powers[j], "W"), **look)
+        axes.scatter(at_counts, value, 34, np.where(at.on_front, colour, "#ffffff"), edgecolors=colour, zorder=3)
     axes.set(xlabel="photodiodes", ylabel=f"{words}{unit and f' [{unit.strip()}]'}", xticks=counts)
     axes.set_yscale("log")
     style.plain_log(axes.yaxis)

@@ -70,13 +70,23 @@ function draw_line(now_s) {
 }
 
 function draw_whole(now_s) {
-  const { width, height, stroke, fill } = pen_on(whole);
-  const x = (time_s) => width * time_s / end_s, y = (force_n) => height - 2 - (height - 6) * force_n / MOST_N;
+  const { width, height, stroke, fill, write } = pen_on(whole), left = 30, bottom = height - 18;
+  const x = (time_s) => left + (width - left - 4) * time_s / end_s, y = (force_n) => bottom - (bottom - 16) * force_n / MOST_N;
   drawn.time_s.forEach((time_s, k) => {
-    if (!drawn.proximal_share[k] && k) fill("panel", x(drawn.time_s[k - 1]), 0, x(time_s) - x(drawn.time_s[k - 1]), height);
+    if (!drawn.proximal_share[k] && k) fill("panel", x(drawn.time_s[k - 1]), 0, x(time_s) - x(drawn.time_s[k - 1]), bottom);
   });
+  for (let force_n = 0; force_n <= MOST_N; force_n += 1) {
+    stroke("grid", 1, [[left, y(force_n)], [width, y(force_n)]]);
+    write("muted", force_n.toFixed(0), 14, y(force_n) + 4);
+  }
+  for (let minute = 0; x(60 * minute) < width - 90; minute += 1) {
+    stroke("grid", 1, [[x(60 * minute), bottom], [x(60 * minute), bottom + 4]]);
+    write("muted", minute.toFixed(0), x(60 * minute) - 4, height - 2);
+  }
+  write("muted", "force [N]", left + 4, 12);
+  write("muted", "time [min]", width - 70, height - 2);
   stroke("accent", 1, drawn.time_s.map((time_s, k) => [x(time_s), y(drawn.force_n[k])]));
-  stroke("ink", 1.5, [[x(now_s), 0], [x(now_s), height]]);
+  stroke("ink", 1.5, [[x(now_s), 0], [x(now_s), bottom]]);
 }
 
 // The end of the rest in which the sensor is to be taken off and put on again; undefined outside it. [s]

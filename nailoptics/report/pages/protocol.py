@@ -5,14 +5,19 @@ import math
 from collections.abc import Callable, Iterable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from threading import Thread
+from typing import Any
 
 from ...errors import InputError
 from ...scene.protocol import Protocol, is_off
+from ...version import code_attributes
 from ..html import Html, Script, document, file_text, section, small, texts
 
 
-def page(drawn: Protocol, *, is_served: bool = False) -> str:
-    """The page as text; one that is served shows the force at its server's address `force`, too."""
+def page(drawn: Protocol, *, is_served: bool = False, **made: Any) -> str:
+    """The page as text; one that is served shows the force at its server's address `force`, too.
+
+    made : what makes the protocol again, beside this program.
+    """
     columns = {name: column.tolist() for name, column in drawn._asdict().items()}
     columns["is_off"] = is_off(drawn.time_s, drawn.time_s, drawn.force_n).tolist()
     data, words = json.dumps(columns | {"is_served": is_served}), texts("protocol")
@@ -21,7 +26,8 @@ def page(drawn: Protocol, *, is_served: bool = False) -> str:
     runs = Script(script)
     runs.is_served = is_served
     body = [section("The line", Html(player), small(words["live"])), runs]
-    return document(**words["page"], lead=words["lead"], body=body, attributes={})
+    lead = f"{words['lead']} {words['donnings'] if any(columns['is_off']) else words['kept_on']}"
+    return document(**words["page"], lead=lead, body=body, attributes=code_attributes() | made)
 
 
 def live_columns(header: list[str]) -> tuple[str, str]:
@@ -32,12 +38,12 @@ def live_columns(header: list[str]) -> tuple[str, str]:
     return "time_s", "force_n"
 
 
-def serve(drawn: Protocol, samples: Iterable[dict[str, float]], say: Callable[[str], None]) -> None:
+def serve(drawn: Protocol, samples: Iterable[dict[str, float]], say: Callable[[str], None], **made: Any) -> None:
     """Serve the page to browsers of this machine alone, and say where, until the samples end: time_s and force_n.
 
     The line begins with the first sample; where a force is missing the one before it stays.
     """
-    text, newest, first_s = page(drawn, is_served=True), dict[str, float](), None
+    text, newest, first_s = page(drawn, is_served=True, **made), dict[str, float](), None
 
     class Answer(BaseHTTPRequestHandler):
         def do_GET(self) -> None:

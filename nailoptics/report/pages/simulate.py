@@ -261,7 +261,8 @@ def courses(result: xr.Dataset) -> "style.Figure":
         _not_too_close(axes)
         axes.tick_params(labelbottom=True)
         if len(lines) > 1:
-            axes.legend(loc="best", fontsize=7, handlelength=1.8)
+            axes.set_ylim(top=axes.get_ylim()[1] + 0.16 * np.ceil(len(lines) / 3) * np.ptp(axes.get_ylim()))
+            axes.legend(loc="upper left", ncols=3, fontsize=7, handlelength=1.8, columnspacing=1.0)  # room of its own
     return figure
 
 

@@ -191,11 +191,10 @@ def colour(
         raise InputError("colour has no relative_error; give tolerance, a difference of colour (CIEDE2000).")
     viewing = Viewing(**dict(scene.colour) | {name: value for name, value in given.items() if value is not None})
     viewer = Viewer(viewing.illuminant, viewing.observer)
-    run_time, chosen = stopwatch(), backend.choose_jit(options.backend, "colour")
+    run_time, chosen = stopwatch(), backend.activate_jit(options.backend, "colour")
     stage = StageProgress(progress, options.max_seconds or math.inf, unit="CIEDE2000")
     stores = LightStore.of_command(options) if stores is None else stores
     states = steady_blood(scene, viewing.forces_n)
-    backend.activate(chosen)
     nail = NailReflectance(scene, backend=chosen.name, stores=stores)
     rays, unmet = sample_until_tolerance(nail, np.vstack([states, 0 * states[:1]]), viewer, viewing, options, stage)
     result = _dataset(scene, rays, states, viewer, viewing)
@@ -204,24 +203,18 @@ def colour(
             unmet = f"{stage.why} before the spread of colours over unknown fingers."
         else:
             result = result.merge(spread_of_colours(nail, rays, viewer, viewing, seed=options.seed))
-    result.attrs = _attributes(scene, viewing, options, chosen, rays.photons) | run_time()
-    return unless_cut_off(result, unmet)
-
-
-def _attributes(
-    scene: Scene, viewing: Viewing, options: TraceOptions, chosen: backend.Backend, photons: int
-) -> dict[str, Any]:
-    """What the result says of how it came about, but for the time that it took."""
     made: dict[str, Any] = {"engine": "photons", "backend": chosen.name, "seeds": str(options.seed)}
     shown = viewing.model_dump(include={"illuminant", "observer", "lit_by", "tolerance", "change_tolerance"})
-    return provenance(scene, photons=photons, **made) | {
+    result.attrs = provenance(scene, photons=rays.photons, **made) | {
         "title": "nailoptics: colour of the nail under force",
         "seed": options.seed,
         **shown,
         "gloss": int(viewing.gloss),
         "tile_size_mm": TILE_MM,
         "references": "CIE 015:2018; S. A. Mascaro, H. H. Asada, IEEE Trans. Robotics and Automation 17(5), 2001",
+        **run_time(),
     }
+    return unless_cut_off(result, unmet)
 
 
 def _redness_left(redness: Array, pale: Array) -> Array:

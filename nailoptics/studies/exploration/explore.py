@@ -50,6 +50,8 @@ FURTHER_LEDS, SAME_NM = ("led_660", "led_940"), 8.0
 # Groups of photons, whose scatter gives standard errors; photons of their first batches, of which each later one has
 # twice as many; and of the pilot from which the fall with the distance is fitted.
 BLOCKS, LEAST_BATCH, PILOT_PHOTONS = 12, 1 << 12, 1 << 18
+# What a batch, and a wavelength's table in the end, take beside the batch's photons, in photons of the same time.
+PER_BATCH, PER_TABLE = 6e3, 1e6
 # Relative error of readings by the table's nodes and the bare board, rms, and of their change under a touch, in parts
 # of what either zone's blood changes by itself, added up; the photons' errors are taken off. Readings: squares of 0.5
 # and 1 mm beside three places of the LED of the prototype and of placement.toml, with its wall and without, 0 to 3 % in
@@ -218,7 +220,7 @@ class WavelengthSums:
 def explore(scene: SceneIn, *, progress: ProgressCallback | None = None, **requested: Unpack[Requested]) -> Exploration:
     """Trace what a page needs to show any layout on a finger scene's board.
 
-    photons : of each of the scene's wavelengths; further ones get half as many.
+    photons : of each of the scene's wavelengths, 49152 at least; further ones get half as many.
     max_seconds : wall time in which the tables are to be there, of what photons there are by then, one batch of each
         group or more. [s]
 
@@ -230,6 +232,8 @@ def explore(scene: SceneIn, *, progress: ProgressCallback | None = None, **reque
     options, run_time = TraceOptions(**requested), stopwatch()
     if options.relative_error is not None:
         raise InputError("explore takes no relative_error, as every layout has its own; give photons or max_seconds.")
+    if options.photons and options.photons < (least := BLOCKS * LEAST_BATCH):
+        raise InputError(f"photons = {options.photons}: explore traces {least} of each wavelength at least; give more.")
     _check(scene)
     report = StageProgress(progress, options.max_seconds or scene.accuracy.max_seconds or math.inf)
     base = explored_board(scene)
@@ -286,6 +290,7 @@ def _stored_light(
         projection = PairProjection(basis, radial)
         cut_off = _trace(sums, photons, report, projection)
         by_wavelength = stacked_rows([band.table(projection) for band in sums])
+        report("tables", 1.0)
         rings = {str(axis): fluence[0][axis].values for axis in fluence[0].dims}
         light = {"radial": radial.log_coefficients, "fluence": np.stack(fluence), **by_wavelength, **rings}
         light["ambient_a_per_mm2"] = sums[0].ambient_a_per_mm2()
@@ -328,11 +333,16 @@ def _trace(sums: list[WavelengthSums], photons: list[int], report: StageProgress
                 sums[0].table(projection)
                 tables_s = len(sums) * (report.seconds - begin_s)
 
+    spent, begin_s = 0.0, report.seconds
+
     def sample(batch: tuple[WavelengthSums, int, int]) -> None:
+        nonlocal spent
         band, block, size = batch
         band.add(block, size)
-        done = sum(band.photons.sum() for band in sums) / sum(photons)
-        report(f"{band.lit.leds[0].wavelength_nm:g} nm", done)
+        spent += size + PER_BATCH
+        left = sum(photons) - sum(band.photons.sum() for band in sums) + PER_TABLE * len(sums)
+        left_s = left * (report.seconds - begin_s) / spent
+        report(f"{band.lit.leds[0].wavelength_nm:g} nm", report.seconds / (report.seconds + left_s))
 
     ending = run_until(batches(), sample, is_late=lambda _: report.interrupted)
     if all(band.photons.sum() >= most for band, most in zip(sums, photons, strict=True)):

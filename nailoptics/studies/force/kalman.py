@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy.special import expit, gammaincinv
 
 from ...hemodynamics.rosenbrock import step
+from ...hemodynamics.waves import RATE_SPREAD
 from .person import ARTERIAL_STEP_PA, LONGEST_GAP_S, LONGEST_STEP_S, NAMES, Array, PulsatileGain, touch_on_walls
 from .subject import NOISE_S, READING_CORRELATION_S, Subject
 
@@ -94,7 +95,8 @@ class StateSpace:
         variance[DIAMETERS] = INITIAL_DIAMETER**2
         variance[TOUCH] = variance[PULP] = INITIAL_PRESSURE_N_PER_CM2**2
         if subject.noise.beat:
-            variance[self.beat] = subject.noise.beat.initial_variance()
+            # Of a beat whose phase is not known yet.
+            variance[self.beat] = [RATE_SPREAD**2, *np.repeat(np.square(subject.noise.beat.rms_pa), 2)]
         variance[self.waves] = np.repeat([wave.rms_pa**2 for wave in subject.noise.waves], 2)
         # Uncertainty of the calibration at rest.
         count, factors, blood = len(subject.rest_v), len(NAMES), self.person.blood(np.ones(2))
@@ -185,11 +187,6 @@ class StateSpace:
         moved = state + covariance[:, at] @ back
         moved[self.drift] = state[self.drift]
         return np.asarray(moved)
-
-    def sensed_touch(self, state: Array, relaxed_n_per_cm2: Array) -> Array:
-        """Coordinates of the touch, less the pulp's relaxation up to that; from twice it on all, linear between."""
-        lost = np.maximum(self.person.creep * relaxed_n_per_cm2, 1e-9)
-        return np.asarray(state[TOUCH] - lost * np.clip(2.0 - state[TOUCH] / lost, 0.0, 1.0))
 
     def _linear_process(self, step_s: float) -> tuple[Array, Array]:
         """Transition and noise of all that is linear, over a step."""
@@ -313,8 +310,10 @@ class KalmanFilter:
         self.covariance = self.covariance - gain @ self.covariance[TOUCH]
         blood_v = self.model.measurement(self.state)[0] - self.subject.rest_v * self.state[self.model.drift]
         self._moved_v, self._blood_v = self._moved_v + blood_v - self._blood_v, blood_v
+        # The touch less the pulp's relaxation up to that; from twice it on all, linear between.
+        touch, lost = self.state[TOUCH], np.maximum(self.model.person.creep * self.relaxed_n_per_cm2, 1e-9)
         return PressureEstimate(
-            touch_n_per_cm2=self.model.sensed_touch(self.state, self.relaxed_n_per_cm2),
+            touch_n_per_cm2=np.asarray(touch - lost * np.clip(2.0 - touch / lost, 0.0, 1.0)),
             covariance=self.covariance[TOUCH, TOUCH].copy(),
             arterial_pa=float((self.model.beat_weights + self.model.wave_weights) @ self.state),
             nis=nis,

@@ -99,7 +99,11 @@ def sensitivity_curves(oximeter: CalibratedOximeter, front_end: SampledFrontEnd,
         add(name, text, "K", WARMER_K, lines("shift_nm", drift * WARMER_K))
     text, venous = "venous saturation below the arterial one", np.maximum(scene.blood.so2 - VENOUS_BELOW, 0.0)
     add("venous_below_arterial", text, "1", VENOUS_BELOW, at("blood.venous_so2", venous))
-    text, bias = "sunlight with the dark slot left out", _sunlight(oximeter, front_end, sun_a)
+    # Where no dark reading is taken away, sunlight adds to what is steady.
+    lit = zip(np.moveaxis(oximeter.nominal.dc, 1, 0), front_end.leds, strict=True)
+    level_a = np.stack([front_end.photocurrent_a(dc[..., 0], led)[..., None] for dc, led in lit], 1)
+    diluted = oximeter.nominal.perfusion_index * level_a / (level_a + sun_a[:, None] * SUN_LUX / SUN_LUX[-1])
+    text, bias = "sunlight with the dark slot left out", oximeter.bias(diluted[:, 0] / diluted[:, 1])
     curves["sunlight_lux"] = _curve("sunlight_lux", text, "lx", SUN_LUX, *bias)
     return curves
 
@@ -109,14 +113,6 @@ def _curve(name: str, text: str, units: str, values: Array, bias: Array, stderr:
     how: Any = {"long_name": f"bias of SpO2 over: {text}", "units": "percent", "stderr": stderr}
     data = variable(f"off_by_{name}", ("photodiode", name), bias, **how)
     return data | variable(name, name, values, text, units=units)
-
-
-def _sunlight(oximeter: CalibratedOximeter, front_end: SampledFrontEnd, sun_a: Array) -> tuple[Array, Array]:
-    """Bias by sunlight where no dark reading is taken away: it adds to what is steady."""
-    lit = zip(np.moveaxis(oximeter.nominal.dc, 1, 0), front_end.leds, strict=True)
-    level_a = np.stack([front_end.photocurrent_a(dc[..., 0], led)[..., None] for dc, led in lit], 1)
-    diluted = oximeter.nominal.perfusion_index * level_a / (level_a + sun_a[:, None] * SUN_LUX / SUN_LUX[-1])
-    return oximeter.bias(diluted[:, 0] / diluted[:, 1])
 
 
 def _with_lines(scene: Scene, which: tuple[int, int], *, fwhm_nm: float | None = None, shift_nm: float = 0.0) -> Scene:

@@ -16,7 +16,7 @@ from nailoptics.light import optics
 from nailoptics.light.photograph import photograph
 from nailoptics.light.tracing.store import LightStore
 from nailoptics.light.walk.nail_reflectance import NailReflectance, Patch
-from nailoptics.report.pages.colour import summary as colour_summary
+from nailoptics.report.pages.colour import COLOUR, summary as colour_summary
 from nailoptics.scene import Viewing, load_scene, parse_scene
 from nailoptics.studies.colour.nail_colour import SHARES, colour
 from nailoptics.studies.colour.reflectance import GROUPS, WAVELENGTHS_NM, Viewer, delta_e_2000, walk_colour
@@ -209,7 +209,12 @@ def test_the_command_writes_its_files_and_json(jit_backend, tmp_path, capsys):
     assert [state["force_n"] for state in printed["states"]] == [0, 1]
     written = {one.name for one in (tmp_path / "out").iterdir()}
     assert written == {"colour.nc", "colour.html", "strip.png"}
-    assert xr.load_dataset(tmp_path / "out" / "colour.nc").attrs["illuminant"] == "D65"
+    result = xr.load_dataset(tmp_path / "out" / "colour.nc")
+    assert result.attrs["illuminant"] == "D65"
+    lines = COLOUR.lines(result, printed | {"lab_spread": {"nail": [5.0, 3.4, 3.2]}})
+    assert any(line.startswith("Colours are those of the middle of the nail, +- one standard error") for line in lines)
+    assert any(line.startswith("seen by daylight D65") for line in lines)
+    assert lines[-1].endswith("L* 5.0, a* 3.4, b* 3.2")
 
 
 @pytest.mark.parametrize(

@@ -178,6 +178,28 @@ def test_the_command_refuses_in_one_line(arguments, what, capsys, tmp_path, monk
     assert list(tmp_path.iterdir()) == []
 
 
+def test_the_time_left_is_estimated_from_the_first_batch_on(monkeypatch):
+    """Batches of a fixed and a growing cost after 10 s of preparation, then tables; all by a clock that they turn."""
+    clock, pace_s, shown = SimpleNamespace(now=0.0), 5e-6, []
+    monkeypatch.setattr("nailoptics.light.tracing.stopping.time", SimpleNamespace(perf_counter=lambda: clock.now))
+
+    def colour():
+        photons = np.zeros(BLOCKS)
+
+        def add(block, size):
+            photons[block] += size
+            clock.now += (size + study.PER_BATCH) * pace_s
+
+        return SimpleNamespace(add=add, photons=photons, lit=scene(), tracer=SimpleNamespace(batch_photons=1 << 17))
+
+    report = StageProgress(lambda p: shown.append((clock.now, p.seconds_left)))
+    clock.now += 10.0
+    assert study._trace([colour(), colour()], [3_000_000, 2_000_000], report, None) == ""
+    end_s = clock.now + 2 * study.PER_TABLE * pace_s
+    now_s, left_s = np.array(shown, float).T
+    assert len(now_s) > 2 * BLOCKS and (np.abs(np.log(left_s / (end_s - now_s))) < np.log(1.5)).all()
+
+
 @pytest.mark.parametrize(("pace_s", "limit_s"), [(5e-6, 60.0), (5e-5, 60.0), (5e-6, 6.0), (5e-5, 0.001)])
 @pytest.mark.parametrize("table_s", [0.0, 0.1])
 def test_rounds_end_with_the_time_or_with_the_first(monkeypatch, pace_s, limit_s, table_s):

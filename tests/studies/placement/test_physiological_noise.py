@@ -1,5 +1,6 @@
 """Placement with physiological noise: exact cases and limits of the arithmetic, and a placement that has a body."""
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -389,7 +390,11 @@ def test_readings_with_too_few_photons_for_an_error_are_warned_of_and_have_no_nu
     (warning,) = placement.summary(few)["warnings"]
     known = int(computed.predicted_volts_stderr.isnull().sum())
     assert warning.startswith(f"{known + 1} of {few.predicted_volts.size} readings of the best layout")
-    assert "too few photons</td><td>–</td>" in page(few) and warning in page(few)
+    text = page(few)
+    assert "too few photons</td><td>–</td>" in text and warning in text and "its intervals too narrow" in warning
+    # Beside the interval in the lead and, with the layouts of which that is so, below the figure of all intervals.
+    assert re.search(r"95 % interval [^)]*, too narrow: too few photons\)", text)
+    assert re.search(r"<figcaption>Force resolution of each layout[^<]* intervals are too narrow", text)
 
 
 @pytest.mark.long

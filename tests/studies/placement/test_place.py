@@ -29,9 +29,11 @@ from nailoptics.report.pages.placement import (
     _change,
     _named,
     _photodiodes,
+    _ranked_in,
     _tolerance_rows,
     _tolerances,
 )
+from nailoptics.report.pages.placement_figures import front_figure
 from nailoptics.scene import Candidate, FingerCase, Placement, load_scene, parse_scene, to_toml
 from nailoptics.scene.importers.board_files import read_outline
 from nailoptics.scene.importers.positions import read_positions
@@ -610,6 +612,11 @@ def test_the_page_stands_alone_and_the_result_is_kept(computed, tmp_path):
     assert front[0]["on_front"] and shown.count(" *'") == sum(p["on_front"] for p in front)
     assert words.startswith("Force resolution of one sample [mN] by number of photodiodes") and "[body]" in text
     assert words in text and words in PLACEMENT.lines(computed, report)
+    # Powers that resolve alike do not hide each other.
+    drawn = front_figure(computed.assign(front_error=0 * computed.front_error + 1.0), *_ranked_in(computed))
+    places = np.concatenate([one.get_offsets() for one in drawn.axes[0].collections if len(one.get_offsets()) > 1])
+    known = [tuple(place) for place in places.tolist() if np.isfinite(place).all()]
+    assert len(known) == len(set(known)) > computed.sizes["front_photodiodes"]
     bound = "Resolution: standard error of the force estimated from one sample of all readings, by the Cramér-Rao bound"
     assert bound in text and any(line.startswith(bound) for line in PLACEMENT.lines(computed, report))
     assert "One photodiode [mN]" in text and ("LEDs tried [mN]" in text) == bool(computed.sizes["led_site"])
