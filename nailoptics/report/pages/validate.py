@@ -104,9 +104,8 @@ def counts_in_words(summary: Mapping[str, Any]) -> str:
 
 def summary(result: Validation) -> dict[str, Any]:
     """Every quantity as plain numbers and texts."""
-    made: dict[str, Any] = {"tables": {name: quantity.as_dict() for name, quantity in result.tables.items()}}
-    made |= {"counts": result.counts(), "no_data": [*result.no_data]}
-    return made | dict(result.attributes)
+    tables = {name: quantity.as_dict() for name, quantity in result.tables.items()}
+    return {"tables": tables, "counts": result.counts(), "no_data": [*result.no_data], **result.attributes}
 
 
 def _figure(result: Validation, quantity: str = "") -> "style.Figure":
