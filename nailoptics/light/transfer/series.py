@@ -80,7 +80,7 @@ class _Course:
 
     def __init__(self, transfer: Transfer, states: np.ndarray) -> None:
         self.transfer, self.states = transfer, states
-        cure = f"lower blood.rest_blood_fraction = {transfer.scene.blood.rest_blood_fraction:g}"
+        cure = f"choose from 0 to 1, or lower blood.rest_blood_fraction = {transfer.scene.blood.rest_blood_fraction:g}"
         self.first = checks.fraction("blood_fraction", states, cure)[0]
         self.out = np.empty((4, len(transfer.traces), len(transfer.photodiodes), len(states)), states.dtype)
 
