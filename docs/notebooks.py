@@ -23,7 +23,7 @@ from nailoptics.assets import data_dir
 from nailoptics.report import style
 
 QUICK = os.environ.get("NAILOPTICS_DOCS") == "quick"
-PHOTONS, CALIBRATION_PHOTONS, EXPLORE_PHOTONS = 5_000, 20_000, 50_000
+PHOTONS, CALIBRATION_PHOTONS = 5_000, 20_000
 # Shipped scenes that pages simulate, and what makes that cheap; one page shows what the priors do.
 SHORT = {
     "calibration": {"touch.sample_rate_hz": 12.5, "priors.spread": False},
@@ -47,7 +47,7 @@ LIMIT_IN_PYTHON = re.compile(r"\b(?:relative_error|tolerance|max_seconds|photons
 def with_few_photons(app: Any, name: str, source: list[str]) -> None:
     """Before a page is read: what it runs takes few photons and samples, where pages are only tried."""
     if QUICK and source[0].startswith("---\nfile_format: mystnb"):
-        # Of fewer, a calibration is refused, and so is explore.
+        # Of fewer, a calibration is refused.
         photons = CALIBRATION_PHOTONS if "calibrate" in source[0] else PHOTONS
         source[0] = CELL.sub(lambda cell: with_limit(cell[0], photons), source[0])
         if name != OF_PRIORS:
@@ -76,7 +76,6 @@ def write_short_scenes(app: Any) -> None:
 
 def with_limit(cell: str, photons: int) -> str:
     """A cell that traces so many photons, whatever limits it has."""
-    photons = max(photons, EXPLORE_PHOTONS) if "explore" in cell else photons
     cell = LIMIT_IN_PYTHON.sub(rf"photons\g<1>{photons}", cell)
     return TRACING.sub(lambda command: f"{LIMIT.sub('', command[1])} --photons {photons}", cell)
 

@@ -114,7 +114,6 @@ BAD_COMMANDS = {
         ": --max-seconds = -5.0; must be a number above 0",
     ),
     "a force below 0": (["colour", "nail_colour", "--force", "-1"], ": --force[0] = -1.0: must be greater"),
-    "few photons of a table": (["explore", "prototype", "--photons", "1000"], ": --photons = 1000: explore traces"),
     "no donning": (["protocol", "prototype", "--donnings", "0"], ": --donnings = 0 must be a whole number from 1"),
     "one scene too many": (["check", "prototype", "prototype"], "prototype"),
     "a scene that is not there": (["simulate", "missing.toml"], "missing.toml"),

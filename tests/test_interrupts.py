@@ -84,7 +84,7 @@ def test_explore_keeps_what_it_has_of_every_wavelength(folder, interrupting, sma
     assert ended.stderr_lines[-1] == f"nailoptics: {why} What was reached is in page.html."
     page = Path("page.html").read_text(encoding="utf-8")
     assert why in page.split("</header>")[0]
-    assert "2 wavelengths" in ended.out and ended.out.startswith(f"Cut off: {why}")
+    assert "2 wavelengths, at least 12288 at each" in ended.out and ended.out.startswith(f"Cut off: {why}")
 
 
 @pytest.mark.jit

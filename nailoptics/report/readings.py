@@ -140,11 +140,9 @@ def simulation_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
         for led, row in zip(table.led, reading_rows(table), strict=True)
     ]
     hold = f"change: from the first sample to the last under the largest force, at {table.time_of_change_s[0]:.3g} s"
-    few = " (?: too few photons for one)" if any("?" in cell for row in rows for cell in row.values()) else ""
-    lines = [
-        *aligned(rows),
-        f"{hold}; +-: standard error of the trace{few}; NEF: noise-equivalent force, noise over slope",
-    ]
+    few = any("?" in cell for row in rows for cell in row.values())
+    error = f"standard error of the trace{' (?: too few photons for one)' if few else ''}"
+    lines = [*aligned(rows), f"{hold}; +-: {error}; NEF: noise-equivalent force, noise over slope"]
     if table.saturated.any():
         lines.append("saturated: the converter is at its limit, these volts do not measure the light")
     lines += [*absorbed_lines(summary["absorbed"]), *(line.translate(ASCII) for line in disturbance_lines(result))]

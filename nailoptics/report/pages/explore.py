@@ -178,6 +178,9 @@ EXPLORATION = Report(
     ("explore.html",),
     page,
     lambda exploration: run_summary(exploration.attributes),
-    lambda exploration, summary: [f"{summary['photons']} photons at {len(exploration.wavelengths)} wavelengths"],
+    lambda exploration, summary: [
+        f"{summary['photons']} photons at {len(exploration.wavelengths)} wavelengths, "
+        f"at least {explore.BLOCKS * explore.LEAST_BATCH} at each"
+    ],
     {"board": lambda exploration: maps.top_view(exploration.scene)},
 )

@@ -232,8 +232,6 @@ def explore(scene: SceneIn, *, progress: ProgressCallback | None = None, **reque
     options, run_time = TraceOptions(**requested), stopwatch()
     if options.relative_error is not None:
         raise InputError("explore takes no relative_error, as every layout has its own; give photons or max_seconds.")
-    if options.photons and options.photons < (least := BLOCKS * LEAST_BATCH):
-        raise InputError(f"photons = {options.photons}: explore traces {least} of each wavelength at least; give more.")
     _check(scene)
     report = StageProgress(progress, options.max_seconds or scene.accuracy.max_seconds or math.inf)
     base = explored_board(scene)
