@@ -360,12 +360,11 @@ def batch(
         return finish({}, counts, ["{scenes} scenes, {traces} traces for all".format(**counts)], options.json)
     if output is None:
         raise InputError("batch needs -o DIR, a folder for its results.")
-    how: dict[str, Any] = {"workers": workers, "scheduler": scheduler, "shard": shard, "retry_failed": retry_failed}
+    how: dict[str, Any] = {"workers": workers, "scheduler": scheduler, "shard": shard}
+    how |= {"retry_failed": retry_failed, "shown": terminal.batch_progress}
     unmet = None
     try:
-        outcome, unmet = traced(
-            batches.run_batch, planned, output, options=options, shown=terminal.batch_progress, **how
-        )
+        outcome, unmet = traced(batches.run_batch, planned, output, options=options, **how)
         paths = write_sweep(batches.open_results(output), output, failures=outcome.failed)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"interrupted; finished scenes are in {output}, run again to resume.") from None

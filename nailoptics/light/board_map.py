@@ -197,7 +197,7 @@ class BoardTracer:
 
         backends.activate(self.backend)
         tally = BoardTally(self.tracer.geometry, photons=photons, paths=self.tracer.paths)
-        walked = self.tracer.walk(led, photons=photons, seed=seed, face=face, board=tally)
+        walked = self.tracer.walk(led, photons=photons, seed=seed, face=face, board=tally, only_arrivals=face is None)
         photon, place, weight, paths, cos = tally.arrays()
         left = np.flatnonzero(walked.outcome == TOP)
         nowhere, mu_a = np.full((len(left), 2), np.nan), self.mu_a[led]

@@ -79,7 +79,7 @@ class FingerTracer:
         """Trace some photons of one LED, each counting for itself; their paths are in the order of `by_zone`.
 
         face : What shines, at the LED's wavelength and Lambertian, in the LED's place.
-        to : section, board, splitting: what tallies the photons on their way; acceptance.
+        to : section, board, splitting: what tallies the photons on their way; only_arrivals, acceptance.
         """
         emission = sampling.LAMBERTIAN if face else sampling.emission_table(self.scene.leds[led])
         emitter = Emitter(face or self.geometry.leds[led], emission, self.regions[led].epoxy)
@@ -126,6 +126,7 @@ class FingerWalk:
 
     emitter : What `emit(rng, index)` gives each photon, place, direction and cosine, and the `region` it starts in.
     section, board : Tally all photons on their way.
+    only_arrivals : Whether the board's tally alone counts, so that roulette may end light far below.
     splitting : Splits photons near the photodiodes, and takes their scores; without it each counts for itself.
     acceptance : How photodiodes weigh light by its angle.
     """
@@ -137,6 +138,7 @@ class FingerWalk:
     ends: PhotonEnds
     section: Section | FluenceTally | None = None
     board: BoardTally | None = None
+    only_arrivals: bool = False
     splitting: Splitting | None = None
     acceptance: sampling.Acceptance | None = None
 
@@ -164,7 +166,7 @@ class FingerWalk:
             photon.outcome = dr.select(absorbed, mi.UInt32(sampling.ABSORBED), photon.outcome)
             # Copies that are still to come start with the weight that this one had there.
             copies = dr.select(photon.has_no_copies_left(), copies_of(photon), 0)
-            deeper = (photon.p.z < photon.roulette_z) & (self.board is not None)
+            deeper = (photon.p.z < photon.roulette_z) & self.only_arrivals
             photon.roulette_z *= dr.select(deeper, mi.Float(2), 1)
             sampling.roulette(photon, segment.scatterings + 1, copies, deeper)
             if self.splitting is None and self.acceptance is not None:

@@ -23,8 +23,8 @@ OVER_BED = ("plate", "epoxy")
 REGION_BITS = 11
 # Scatterings without a ray before lanes wait for each other; more leave lanes idle, fewer cast rays for few lanes.
 FREE_EVENTS = 3
-# Light that comes back to the board was seldom so far below the nail's ridge: with roulette there, and at each doubling
-# of that, maps of the board take 0.86 of the time, and their variance is the same within 4 %.
+# Light of an LED that arrives on the board was seldom so far below the nail's ridge: with roulette there, and at each
+# doubling of that, it takes 0.86 of the time to trace, and its variance is the same within 4 %.
 DEEP_MM = 3.0
 # Distances take two bytes.
 DISTANCE_STEP_MM = CAP_MM / 0xFFFF
@@ -47,7 +47,7 @@ class FingerPhoton(Photon):
         included; 0 where it is not split there.
     side : Where it is on a face of a shell that it has just met, 1 outside of it and -1 inside; else 0.
     free_events : How often it may scatter before it is asked whether it is to be split.
-    roulette_z : Height below which roulette ends it with probability 1/2, where light at the board counts alone. [mm]
+    roulette_z : Height below which roulette ends it with probability 1/2, where only arrivals count. [mm]
     """
 
     p: Any
