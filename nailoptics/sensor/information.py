@@ -304,7 +304,7 @@ def _stderr_of(information: Array, per_pa: Array) -> Array:
 def fixed_ratio_resolution_n(information: Array, point: OperatingPoint) -> Array:
     """Force resolution if the touch always splits as the scene's does: one number is unknown, (...) float. [N]"""
     (a, b), proximal, both, distal = point.pressure_per_n, *np.moveaxis(pressure_information(information), -1, 0)
-    return 1 / np.sqrt(a * a * proximal + 2 * a * b * both + b * b * distal)
+    return quotient(1.0, np.sqrt(a * a * proximal + 2 * a * b * both + b * b * distal))
 
 
 def physiological_noise_force_n(point: OperatingPoint) -> float:

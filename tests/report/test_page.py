@@ -4,6 +4,7 @@ import os
 import re
 from functools import partial
 from html.parser import HTMLParser
+from importlib import import_module
 from itertools import combinations
 
 import numpy as np
@@ -14,7 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.report import maps, style
-from nailoptics.report.pages.simulate import SIMULATION, courses, page
+from nailoptics.report.pages.simulate import SIMULATION, courses, overview, page
 from nailoptics.scene import parse_scene, to_toml
 
 VOID = {"meta", "br"}
@@ -366,6 +367,14 @@ def test_names_of_courses_lie_on_no_curve(make):
     for axes, box in boxes:
         for line in axes.get_lines():
             assert not line.get_path().transformed(axes.transData).intersects_bbox(box, filled=False)
+
+
+def test_names_of_many_photodiodes_leave_room_for_their_curves(make, monkeypatch):
+    result = make(section=False)
+    scene = parse_scene(result.attrs["scene"])
+    assert overview(result, scene).axes[0].get_legend()
+    monkeypatch.setattr(import_module("nailoptics.report.pages.simulate"), "PANELS", 1)
+    assert not overview(result, scene).axes[0].get_legend()
 
 
 def test_on_a_telephone_what_is_wider_scrolls_within_its_box_and_shows_that(browser, make):

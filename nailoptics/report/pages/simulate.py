@@ -302,8 +302,7 @@ def draw_change(axes: "style.Axes", result: xr.Dataset, scene: Scene, *, led: in
     """Draw the change of every photodiode from rest under one LED into axes, with its value at the hold's end."""
     photodiodes = maps.coloured_along_nail(scene)
     change, hold = result.volts_change, hold_end(result)
-    hold_s = float(result.time[hold])
-    thin = _thin(result)
+    hold_s, thin = float(result.time[hold]), _thin(result)
     scale, letter = prefix(float(abs(thin.volts_change).max()))
     axes.axhline(0, color=style.MUTED, lw=0.8)
     for colour, j in photodiodes:
@@ -317,7 +316,8 @@ def draw_change(axes: "style.Axes", result: xr.Dataset, scene: Scene, *, led: in
     _not_too_close(axes)
     # From the tip down, as on the nail.
     look: dict[str, Any] = {"reverse": True, "loc": "center left", "bbox_to_anchor": (1.0, 0.5)}
-    axes.legend(title=f"at {hold_s:.3g} s", ncols=1 + (len(photodiodes) - 1) // 16, **look)
+    if len(photodiodes) <= 2 * PANELS:  # the names of more would leave no room for the curves
+        axes.legend(title=f"at {hold_s:.3g} s", ncols=1 + (len(photodiodes) - 1) // 16, **look)
 
 
 def volts(result: xr.Dataset, scene: Scene, *, led: int) -> "style.Figure":

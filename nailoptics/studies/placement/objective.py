@@ -241,7 +241,7 @@ class ForceResolution:
         floor_n = self.floor_n
         above = _above(self.all_n, floor_n)
         spread = t95(len(above) - 1) * float(jackknife(np.log(above)))
-        low, high = (math.hypot(float(above[0]) * math.exp(sign * spread), floor_n) for sign in (-1, 1))
+        low, high = (math.hypot(float(above[0]) * math.exp(min(sign * spread, 700.0)), floor_n) for sign in (-1, 1))
         return low, high
 
 

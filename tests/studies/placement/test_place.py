@@ -438,6 +438,14 @@ def test_intervals_allow_for_errors_estimated_from_few_blocks():
     assert 0.935 < np.mean(held) < 0.965
 
 
+def test_of_hardly_any_light_the_resolution_and_its_interval_are_not_known():
+    """Blocks that scatter by hundreds of orders of magnitude, and readings that hold no information at all."""
+    replicates = np.array([1.0, 1e-120, 1e120, 1.0, 1.0])[:, None]
+    low, high = ForceResolution(replicates, np.zeros(1), Objective(Placement(), ())).interval_n
+    assert low < 1e-300 and high > 1e300
+    assert information.fixed_ratio_resolution_n(np.zeros(3), AT) == np.inf
+
+
 @pytest.mark.slow
 def test_the_ranking_is_as_stable_over_seeds_as_its_stated_confidence(chosen_jit, scene):
     """Rationale: intervals claim 95 %. Expected: over 20 seeds the scores scatter by their standard errors,
