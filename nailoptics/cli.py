@@ -346,14 +346,14 @@ def batch(
         status: Show the batch's progress and exit.
     """
     from . import batch as batches
-    from .hemodynamics.parameters import far_from_list
+    from .hemodynamics.parameters import implausible_constants
     from .report.pages.sweep import write_sweep
 
     if status:
         now = batches.status(output or sweep)
         return finish({}, vars(now) | {"left": now.left}, [now], options.json)
     planned = batches.load_sweep(sweep)
-    for line in far_from_list(*planned.scenes):
+    for line in implausible_constants(*planned.scenes):
         say(line)
     if dry_run:
         counts = batches.count(planned, **options.fields)
@@ -710,12 +710,12 @@ def doctor(*, json_: Json = False) -> None:
 
 def _load(name: str, options: TraceOptions) -> "Scene":
     """A scene; says if a slow engine will trace it, or if vessels are far off the list."""
-    from .hemodynamics.parameters import far_from_list
+    from .hemodynamics.parameters import implausible_constants
     from .light import backend as backends
     from .scene import load_scene
 
     scene = load_scene(name)
-    for line in filter(None, (backends.choose(options.backend).advice, *far_from_list(scene))):
+    for line in filter(None, (backends.choose(options.backend).advice, *implausible_constants(scene))):
         say(line)
     return scene
 

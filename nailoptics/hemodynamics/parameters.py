@@ -170,7 +170,7 @@ def _scaled(constants: Parameters, factors: Mapping[str, PerBed]) -> Parameters:
     return constants.replace(**scaled)
 
 
-def far_from_list(*scenes: Scene) -> list[str]:
+def implausible_constants(*scenes: Scene) -> list[str]:
     """Warnings, one each for all scenes, of constants of the vessels that are farther off the paper's than a factor of
     `FAR_FROM_LIST`, where they can be, and of a small area of contact."""
     far = dict[str, None]()

@@ -9,7 +9,7 @@ import numpy as np
 from ..display import Displayed
 from ..errors import InputError
 from ..hemodynamics.for_scene import BloodModel, blood_model
-from ..hemodynamics.parameters import far_from_list
+from ..hemodynamics.parameters import implausible_constants
 from ..light import backend, optics
 from ..light.detect import rough_readings, unseen_leds
 from ..scene import Scene, SceneIn, as_scene
@@ -76,7 +76,7 @@ def check(scene: SceneIn) -> SceneCheck:
             name: getattr(scene.board, name) for name in BUILD if name not in scene.board.model_fields_set
         }
     report["warnings"] += boards.misfits(scene) + boards.courtyard_overlaps(scene) + _beyond_the_nail(scene)
-    report["warnings"] += unseen_leds(scene) + far_from_list(scene) + _posture(model := blood_model(scene))
+    report["warnings"] += unseen_leds(scene) + implausible_constants(scene) + _posture(model := blood_model(scene))
     blood, pairs = np.maximum(model.over_touch().blood_fraction.values.T, 0.0), list[dict[str, Any]]()
     if backend.choose("auto").jit:
         pairs = _pairs(with_fitted_resistors(scene), blood)
