@@ -10,7 +10,7 @@ from nailoptics.light import backend, optics
 from nailoptics.light.reference import mitsuba_scene, readings
 from nailoptics.light.walk import sampling
 from nailoptics.light.walk.finger import FingerTracer
-from nailoptics.light.walk.interfaces import ZoneEdges
+from nailoptics.light.walk.interfaces import ZoneEdges, table_of_rows
 from nailoptics.light.walk.tallies import Section
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Led, Scene, load_scene
@@ -166,9 +166,9 @@ def test_absorbed_light_is_tallied_by_region(jit_backend, monkeypatch):
     assert min(places[name] for name in ("plate", "bed", "bone", "barrier", "cover")) > 0.02
     plate = tracer.geometry.regions.index("plate")
     regions = tracer.regions[0]
-    tally = np.array(regions.tally)
-    tally[plate] = len(tally)
-    monkeypatch.setattr(regions, "tally", type(regions.tally)(tally))
+    rows = np.array(regions.ends).reshape(-1, 4)
+    rows[plate, -1] = -1
+    monkeypatch.setattr(regions, "ends", table_of_rows(rows))
     missed = tracer.batch(0, photons=photons, seed=5)
     assert missed.energy["lost"][0] / photons - lost == pytest.approx(places["plate"], rel=1e-6)
 
@@ -247,7 +247,8 @@ def test_the_sections_path_density_adds_up_to_the_paths_of_all_light(jit_backend
     import mitsuba as mi
 
     tracer, photons = FingerTracer(prototype()), 1 << 12
-    monkeypatch.setattr(tracer.regions[0], "mu_a", 0 * tracer.regions[0].mu_a)
+    rows = np.array(tracer.regions[0].optics).reshape(-1, 4) * [1, 1, 0, 1]
+    monkeypatch.setattr(tracer.regions[0], "optics", table_of_rows(rows))
     low, high = np.asarray(tracer.geometry.bounds_mm)
     y, z = np.arange(low[1] - 0.5, high[1] + 0.5, 0.1), np.arange(low[2] - 0.5, high[2] + 0.5, 0.1)
     section, marked = Section(y, z), Section(y, z)

@@ -15,7 +15,7 @@ from ...scene import Scene
 from .. import optics
 from ..transfer.records import LedTrace
 from . import sampling
-from .interfaces import DETECTED, Emitter, FingerPhoton, Interfaces, Medium, Regions, ZoneEdges, off_surface
+from .interfaces import DETECTED, ON_BOARD, Emitter, FingerPhoton, Interfaces, Medium, Regions, ZoneEdges, off_surface
 from .sampling import PhotonEnds, WalkedPhotons, rotate_direction, survival
 from .splitting import Reach, Splitting, copies_of
 from .tallies import BoardTally, FluenceTally, Section
@@ -155,13 +155,12 @@ class FingerWalk:
             casts = active & (segment.scatterings < photon.free_events)
             hit, triangle = self.step_to_interface(photon, segment, medium, casts)
             events += segment.scatterings
-            region = mi.UInt32(photon.region)
             u, phi = photon.rng.next_float32(), 2 * dr.pi * photon.rng.next_float32()
             scattered = rotate_direction(photon.w, sampling.henyey_greenstein(medium.g, u), phi)
             # A photon that left keeps the way in which it did.
             scatters = casts & ~hit & (photon.outcome == 0)
             photon.w = mi.Vector3f(dr.select(scatters, scattered, photon.w))
-            accepted = self.meet_interface(photon, hit, triangle, u, phi)
+            accepted = self.meet_interface(photon, medium, hit, triangle, u, phi)
             absorbed = photon.tau > photon.absorption_optical_depth
             photon.outcome = dr.select(absorbed, mi.UInt32(sampling.ABSORBED), photon.outcome)
             # Copies that are still to come start with the weight that this one had there.
@@ -175,7 +174,7 @@ class FingerWalk:
                 self.splitting.add(photon, accepted)
                 self.splitting.split(photon, forks, self.regions, active)
             if photon.outcome > 0:
-                self.ends.record(photon, *self.tallied(region))
+                self.ends.record(photon, medium.tally, medium.tallied)
                 if self.splitting is None:
                     self.ends.record_path(photon)
                     dr.scatter(self.ends.cosine, photon.w.z, photon.index)
@@ -223,7 +222,8 @@ class FingerWalk:
         """Move a photon by its next step, all inside one region."""
         step = segment.step
         beyond = self.zones.beyond(dr.fma(0.5 * step, photon.w.y, photon.p.y), step)
-        segment.beyond = [a + dr.select(medium.in_bed, b, 0) for a, b in zip(segment.beyond, beyond, strict=True)]
+        in_bed = medium.tissue == BED
+        segment.beyond = [a + dr.select(in_bed, b, 0) for a, b in zip(segment.beyond, beyond, strict=True)]
         if self.section is not None:
             weight = photon.weight * survival(dr.fma(segment.length, medium.mu_a, photon.tau))
             self.section.add(photon, photon.p + photon.w * (0.5 * step), step, weight, active)
@@ -241,8 +241,7 @@ class FingerWalk:
         self.advance(photon, segment, medium, casts)
         segment.scatterings = segment.scatterings + dr.select(casts & ~hit & ~gone, mi.UInt32(1), mi.UInt32(0))
         photon.tau = dr.fma(segment.length, medium.mu_a, photon.tau)
-        tissue = dr.gather(mi.UInt32, self.regions.tissue, photon.region)
-        inside = [dr.select(tissue == k, segment.length, 0) for k in range(len(optics.TISSUES))]
+        inside = [dr.select(medium.tissue == k, segment.length, 0) for k in range(len(optics.TISSUES))]
         photon.path = [path + more for path, more in zip(photon.path, [*inside, *segment.beyond], strict=True)]
         # Photons that leave for ever leave from the air.
         left = dr.select(photon.region == self.regions.air, mi.UInt32(sampling.TOP), mi.UInt32(sampling.LOST))
@@ -250,39 +249,36 @@ class FingerWalk:
         return hit, intersection.prim_index
 
     @dr.syntax
-    def meet_interface(self, photon: FingerPhoton, hit: Any, triangle: Any, u: Any, phi: Any) -> Any:
+    def meet_interface(self, photon: FingerPhoton, medium: Medium, hit: Any, triangle: Any, u: Any, phi: Any) -> Any:
         """Reflect or refract photons at the interface that they hit, or end them in what is opaque.
 
         u, phi : Uniform numbers in 0-1 and 0-2 pi. [-, rad]
 
         Returns: what a photodiode makes of light that comes so steeply, of what it makes of light from straight ahead.
         """
-        regions, F = self.regions, mi.Float
-        accepted = F(1)
+        regions, accepted = self.regions, mi.Float(1)
         if hit:
             normal, below, above, in_shell = self.interfaces.sides(triangle)
             up = dr.dot(photon.w, normal) > 0
             here, there = dr.select(up, below, above), dr.select(up, above, below)
             normal = dr.select(up, -normal, normal)
             cos_in = -dr.dot(photon.w, normal)
-            n_in, n_out = dr.gather(F, regions.n, photon.region), dr.gather(F, regions.n, there)
-            reflectance, cos_out, eta = sampling.fresnel(cos_in, n_in=n_in, n_out=n_out)
+            *_, n_out = dr.gather(mi.Vector4f, regions.optics, there)
+            refraction, cos_out, eta = sampling.fresnel(cos_in, n_in=medium.n, n_out=n_out)
             if self.board is not None:
-                arrives = (photon.region == regions.epoxy) & dr.gather(mi.Bool, regions.on_board, there)
+                arrives = (photon.region == regions.epoxy) & regions.is_a(ON_BOARD, there)
                 self.board.add(photon, cos_in, arrives)
                 photon.arrivals += dr.select(arrives, mi.UInt32(1), mi.UInt32(0))
-            opaque = dr.gather(mi.Bool, regions.opaque, there)
-            reflected = u < dr.select(opaque, dr.gather(F, regions.reflectance, there), reflectance)
+            opaque, reflectance, end = regions.opaque(there)
+            reflected = u < dr.select(opaque, reflectance, refraction)
             diffuse = rotate_direction(mi.Vector3f(normal), dr.sqrt(photon.rng.next_float32()), phi)
             mirrored = dr.select(opaque, diffuse, photon.w + 2 * cos_in * normal)
             refracted = dr.normalize(eta * photon.w + (eta * cos_in - cos_out) * normal)
             photon.w = mi.Vector3f(dr.select(reflected, mirrored, refracted))
-            place, tallied = self.tallied(photon.region)
             # Of a photon's copies the last one counts for all.
-            tallied &= photon.has_no_copies_left()
+            tallied = medium.tallied & photon.has_no_copies_left()
             left = photon.weight * copies_of(photon) * survival(photon.tau)
-            self.ends.absorb(photon, place, left, ~reflected, tallied)
-            end = dr.gather(mi.UInt32, regions.end, there)
+            self.ends.absorb(photon, medium.tally, left, ~reflected, tallied)
             photon.outcome = dr.select(opaque & ~reflected, end, photon.outcome)
             # A photon that meets a face from a region that does not touch it has slipped through an edge.
             photon.outcome = dr.select(here == photon.region, photon.outcome, mi.UInt32(sampling.LOST))
@@ -294,8 +290,3 @@ class FingerWalk:
             if self.acceptance is not None:
                 accepted = self.acceptance.at_angle(photon.outcome - DETECTED, cos_in, photon.outcome >= DETECTED)
         return accepted
-
-    def tallied(self, region: Any) -> tuple[Any, Any]:
-        """Where the absorption of a region is tallied, and whether it is."""
-        place = dr.gather(mi.UInt32, self.regions.tally, region)
-        return place, place < dr.width(self.regions.tally)

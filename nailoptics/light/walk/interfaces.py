@@ -17,10 +17,10 @@ from .. import optics
 from . import sampling
 from .sampling import Photon, clip, maximum, minimum, rotate_direction, starts
 
-# Through these light comes back from the bed to the photodiodes.
-OVER_BED = ("plate", "epoxy")
 # The number of a triangle's region below and that above share the 24 bits that a float32 holds exactly.
 REGION_BITS = 11
+# Kinds of regions, bit by bit; through what is over the bed light comes back to the photodiodes.
+OVER_BED, IN_TISSUE, ON_BOARD = 1, 2, 4
 # Scatterings without a ray before lanes wait for each other; more leave lanes idle, fewer cast rays for few lanes.
 FREE_EVENTS = 3
 # Light of an LED that arrives on the board was seldom so far below the nail's ridge: with roulette there, and at each
@@ -70,13 +70,18 @@ class Medium(NamedTuple):
 
     mean_path_mm : Between two scatterings, where the medium `scatters`. [mm]
     mu_a : [mm^-1]
+    tissue : Index of the tissue, `optics.TISSUES`.
+    tally : Where its absorption is tallied, if `tallied`.
     """
 
     scatters: Any
     mean_path_mm: Any
     g: Any
     mu_a: Any
-    in_bed: Any
+    n: Any
+    tissue: Any
+    tally: Any
+    tallied: Any
 
     def free_path(self, rng: Any) -> Any:
         """A random path to the next scattering. [mm]"""
@@ -88,40 +93,44 @@ class Regions:
 
     def __init__(self, geometry: Geometry, media: optics.Media) -> None:
         names = geometry.regions
-        self.mu_a, self.mu_s, self.g, self.n = (mi.Float(a) for a in (media.mu_a, media.mu_s, media.g, media.n))
-        self.opaque, self.reflectance = mi.Bool(media.opaque), mi.Float(media.reflectance)
+        self.optics = table_of_rows(np.column_stack([media.mu_s, media.g, media.mu_a, media.n]))
         detectors = {face.region: DETECTED + i for i, face in enumerate(geometry.photodiodes)}
         ends = [detectors.get(i, sampling.OPAQUE + i) for i in range(len(names))]
         ends[names.index("cut")] = sampling.BOTTOM
-        self.end = mi.UInt32(ends)
         dies, there = {face.region for face in geometry.leds}, {*geometry.below.tolist(), *geometry.above.tolist()}
         # What absorbs light as it passes, of which a tally is kept, and what swallows it, by outcome;
         # dies and photodiodes count together.
         absorbs = [i in there and not media.opaque[i] and media.mu_a[i] > 0 for i in range(len(names))]
         self.absorbing = tuple(name for name, absorbed in zip(names, absorbs, strict=True) if absorbed)
-        self.tally = mi.UInt32(np.where(absorbs, np.cumsum(absorbs) - 1, len(names)))
+        tally = np.where(absorbs, np.cumsum(absorbs) - 1, -1)
         self.swallows = {
             end: "photodiodes" if i in detectors else "leds" if i in dies else names[i]
             for i, end in enumerate(ends)
             if media.opaque[i] and i in there and end != sampling.BOTTOM
         }
-        parts = {face.region for face in (*geometry.leds, *geometry.photodiodes)}
-        self.on_board = mi.Bool([name in ("kapton", "silicon") or i in parts for i, name in enumerate(names)])
-        self.over_bed = mi.Bool([name in OVER_BED for name in names])
+        over_bed, on_board = (np.isin(names, kind) for kind in (("plate", "epoxy"), ("kapton", "silicon")))
+        on_board[[face.region for face in (*geometry.leds, *geometry.photodiodes)]] = True
+        self.kinds = mi.UInt32(OVER_BED * over_bed | IN_TISSUE * (media.mu_s > 0) | ON_BOARD * on_board)
         no_tissue = len(optics.TISSUES)
-        self.tissue = mi.UInt32([optics.TISSUES.index(n) if n in optics.TISSUES else no_tissue for n in names])
-        self.bed, self.epoxy, self.air = (dr.opaque(mi.UInt32, names.index(name)) for name in ("bed", "epoxy", "air"))
+        tissue = [optics.TISSUES.index(n) if n in optics.TISSUES else no_tissue for n in names]
+        reflectance = np.where(media.opaque, media.reflectance, -1)
+        self.ends = table_of_rows(np.column_stack([reflectance, ends, tissue, tally]))
+        self.epoxy, self.air = (dr.opaque(mi.UInt32, names.index(name)) for name in ("epoxy", "air"))
 
     def medium(self, region: Any, active: Any) -> Medium:
         """Optics of one region for each photon."""
-        mu_s = dr.gather(mi.Float, self.mu_s, region, active)
-        return Medium(
-            scatters=mu_s > 0,
-            mean_path_mm=dr.rcp(mu_s),
-            g=dr.gather(mi.Float, self.g, region, active),
-            mu_a=dr.gather(mi.Float, self.mu_a, region, active),
-            in_bed=region == self.bed,
-        )
+        mu_s, g, mu_a, n = dr.gather(mi.Vector4f, self.optics, region, active)
+        *_, tissue, tally = dr.gather(mi.Vector4f, self.ends, region, active)
+        return Medium(mu_s > 0, dr.rcp(mu_s), g, mu_a, n, mi.UInt32(tissue), mi.UInt32(tally), tally >= 0)
+
+    def is_a(self, kind: int, region: Any, active: Any = True) -> Any:
+        """Whether regions are of a kind."""
+        return (dr.gather(mi.UInt32, self.kinds, region, active) & kind) > 0
+
+    def opaque(self, region: Any) -> tuple[Any, Any, Any]:
+        """Whether a region is opaque, what it then reflects, and how light ends that it does not reflect."""
+        reflectance, end, *_ = dr.gather(mi.Vector4f, self.ends, region)
+        return reflectance >= 0, reflectance, mi.UInt32(end)
 
 
 @dataclass
@@ -224,8 +233,8 @@ class Emitter:
         self.region = region
         share = face.areas_mm2
         self.cumulative_share = mi.Float(np.cumsum(share) / share.sum())
-        self.corners = mi.Float(np.asarray(face.quads, np.float32).ravel())
-        self.normal = mi.Float(np.asarray(face.normal, np.float32).ravel())
+        self.corners = table_of_rows(np.pad(np.reshape(face.quads, (-1, 3)), [(0, 0), (0, 1)]))
+        self.normal = table_of_rows(np.pad(np.reshape(face.normal, (-1, 3)), [(0, 0), (0, 1)]))
         self.emission = mi.Float(emission)
 
     def emit(self, rng: Any, index: Any) -> tuple[Any, Any, Any]:
@@ -233,9 +242,9 @@ class Emitter:
         pick, facet = rng.next_float32(), mi.UInt32(0)
         for i in range(dr.width(self.cumulative_share) - 1):
             facet += dr.select(pick >= dr.gather(mi.Float, self.cumulative_share, i), mi.UInt32(1), mi.UInt32(0))
-        a, b, c, d = (dr.gather(mi.Point3f, self.corners, 4 * facet + i) for i in range(4))
+        a, b, c, d = (mi.Point3f(*dr.gather(mi.Vector4f, self.corners, 4 * facet + i)[:3]) for i in range(4))
         u, v = rng.next_float32(), rng.next_float32()
-        normal = dr.gather(mi.Vector3f, self.normal, facet)
+        normal = mi.Vector3f(*dr.gather(mi.Vector4f, self.normal, facet)[:3])
         p = dr.lerp(dr.lerp(a, b, u), dr.lerp(d, c, u), v)
         cos = sampling.emission_cosine(self.emission, rng.next_float32())
         w = rotate_direction(normal, cos, 2 * dr.pi * rng.next_float32())
@@ -261,7 +270,7 @@ def off_surface(p: Any, normal: Any) -> Any:
 
 
 def table_of_rows(table: np.ndarray) -> Any:
-    """A table (n, 4) of floats whose rows kernels read with `dr.gather(mi.Vector4f, ...)`.
+    """A table (n, 4) of floats whose rows kernels read, each at once, with `dr.gather(mi.Vector4f, ...)`.
 
     A list is copied. NumPy's memory would be used where it lies, and by its alignment bring one of two kernels.
     """

@@ -8,8 +8,8 @@ import mitsuba as mi
 import numpy as np
 
 from ...geometry import Face, Geometry
-from .interfaces import DETECTED, FREE_EVENTS, FingerPhoton, Regions
-from .sampling import absorption_depth, survival
+from .interfaces import DETECTED, FREE_EVENTS, IN_TISSUE, OVER_BED, FingerPhoton, Regions
+from .sampling import FAR, absorption_depth, survival
 from .tallies import CellGrid
 
 # A photon over the bed that comes within reach of a photodiode, and flies so that it will miss it by no more than
@@ -36,7 +36,7 @@ class Reach:
 
     def __init__(self, geometry: Geometry, led: Face) -> None:
         away, height, low = near_photodiodes(geometry)
-        self.away, self.height = mi.Float(away.ravel()), mi.Float(height.ravel())
+        self.away, self.height = mi.Float(away.ravel()), mi.Float(np.where(away <= REACH_MM, height, FAR).ravel())
         self.grid = CellGrid(low, [CELL_MM] * 2, away.shape)
         strides, low = strides_made(geometry, led)
         self.strides = mi.UInt32(strides.ravel())
@@ -51,9 +51,10 @@ class Reach:
     def near(self, p: Any, w: Any, over_bed: Any) -> tuple[Any, Any]:
         """Whether a photon at p over the bed is within reach of a photodiode, and whether it flies towards one."""
         cell, inside = self.grid.cell((p.x, p.y), over_bed)
-        within = inside & (dr.gather(mi.Float, self.away, cell, inside) <= REACH_MM)
+        height = dr.gather(mi.Float, self.height, cell, inside)
+        within = inside & (height < FAR)
         up = within & (w.z > LEAST_COS)
-        ahead = (dr.gather(mi.Float, self.height, cell, up) - p.z) / dr.select(up, w.z, 1)
+        ahead = (height - p.z) / dr.select(up, w.z, 1)
         cell, inside = self.grid.cell((dr.fma(ahead, w.x, p.x), dr.fma(ahead, w.y, p.y)), up)
         return within, inside & (dr.gather(mi.Float, self.away, cell, inside) <= AIM_MM)
 
@@ -78,13 +79,12 @@ class Splitting:
         Each starts where the photon was split, and ends there or goes away. All of them may be detected; it is the last
         that goes on, with the whole weight.
         """
-        in_tissue = dr.gather(mi.Float, regions.mu_s, photon.region, active) > 0
         made = self.reach.made(photon.p, active)
-        within, aims = self.reach.near(photon.p, photon.w, dr.gather(mi.Bool, regions.over_bed, photon.region, active))
+        within, aims = self.reach.near(photon.p, photon.w, regions.is_a(OVER_BED, photon.region, active))
         # There each scattering may turn it towards one.
         photon.free_events = dr.select(within & (photon.near_copies == 0), mi.UInt32(1), FREE_EVENTS)
         splits = active & (photon.outcome == 0) & (photon.near_copies == 0)
-        strides = splits & in_tissue & (made > photon.strides)
+        strides = splits & regions.is_a(IN_TISSUE, photon.region, active) & (made > photon.strides)
         _fork(photon, forks, strides, splits & aims & ~strides)
         _go_on(photon, forks, ~within, made < photon.strides, active)
 
