@@ -129,7 +129,7 @@ def steps_to_try(request, sensor):
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("spacing", [0.2, 0.4])
+@pytest.mark.parametrize("spacing", [pytest.param(0.2, marks=pytest.mark.long), 0.4])
 def test_no_free_step_meets_an_interface_and_most_others_do(jit_backend, steps_to_try, spacing):
     from nailoptics.light.walk.interfaces import Interfaces, mi
 

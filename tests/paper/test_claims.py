@@ -265,6 +265,7 @@ def test_subjects_force_has_their_time_constants():
     assert time_constant_s(time, force, start_s=ON_S, end_s=2 * ON_S - 0.01) == pytest.approx(0.12, abs=2e-3)
 
 
+@pytest.mark.long
 def test_figures_are_drawn_for_any_set(tmp_path, responses):
     for name, shown in (
         ("mine", ("10", "11", "12", "15_to_18")),

@@ -59,6 +59,7 @@ def test_a_calibrations_zero_is_that_of_recorded_rest():
     assert series.over_rest == pytest.approx(known.over_rest(read.volts, rests, since_s))
 
 
+@pytest.mark.long
 def test_errors_are_those_of_held_out_touches():
     quality, ensemble = subject().quality, subject().ensemble
     assert ensemble is not None

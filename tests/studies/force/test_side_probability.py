@@ -49,6 +49,7 @@ def test_the_side_of_a_touch_is_the_likeliest(site: str) -> None:
     assert probabilities[:, :50].mean(1) == pytest.approx(np.full(3, 1 / 3), abs=0.01)
 
 
+@pytest.mark.long
 def test_touches_of_both_sides_are_estimated_though_none_was_calibrated() -> None:
     """Expected: a tenth of the largest force, where members of one-sided touches alone have errors of two thirds."""
     recording = made_sensor.record(0.9 * made_sensor.touches(), "even", seed=7)

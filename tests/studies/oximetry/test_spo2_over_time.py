@@ -80,6 +80,7 @@ def test_the_error_of_a_slow_recordings_ratio_is_its_scatter():
     assert np.sqrt(np.mean(np.square(stated))) == pytest.approx(np.sqrt(np.mean(np.square(off)) * 4 / 3), rel=0.15)
 
 
+@pytest.mark.long
 def test_noise_of_a_dark_slot_does_not_bias_the_saturation():
     """Rationale: one dark reading is taken from red and infrared, whose noises are then correlated. Expected: 90 %
     within 1 % in the mean of 40 recordings, which scatters by 0.2 %, on both photodiodes, where independence

@@ -43,7 +43,7 @@ def grid_of(rng: np.random.Generator, columns: int = 5, rows: int = 4) -> tuple[
 
 
 @pytest.mark.parametrize("rank_by", RANKED, ids="-".join)
-@pytest.mark.parametrize("count", [2, 3, 4])
+@pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.long), 4])
 def test_no_layout_beats_the_bound_and_the_best_is_near_it(rank_by, count):
     """Expected: brute force over all layouts of 20 places stays above the bound, and the relaxed design, whose weights
     keep the rules, no more than 0.4 % above it (0.2 % in 200 grids), so that there is no better one of its kind."""

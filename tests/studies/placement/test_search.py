@@ -120,6 +120,7 @@ def searched(scene: Scene) -> tuple[search.Search, list[SearchedSite]]:
     return one, one.run(StageProgress(None))
 
 
+@pytest.mark.long
 def test_exchange_of_leds_and_photodiodes_finds_the_best_of_all_layouts():
     """Rationale: three LEDs on five places each and three photodiodes on ten are 60 times 120 layouts, more than are
     given photodiodes one by one; an exchange may end in a local optimum. Expected: of twelve sets of zones and light,
