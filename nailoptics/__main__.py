@@ -1,5 +1,6 @@
 """`python -m nailoptics` is the command line."""
 
+import gc
 import os
 import signal
 
@@ -12,6 +13,8 @@ def main() -> None:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         # A Ctrl-C while the program is loaded or ends makes no traceback.
         signal.signal(signal.SIGINT, signal.SIG_DFL)
+    # Nearly all that a command loads and makes lives as long as it does: garbage is seldom looked for among it.
+    gc.set_threshold(500_000)
     from .cli import main as run
 
     run()

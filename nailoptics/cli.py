@@ -97,8 +97,6 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):  # names may hold letters that the terminal's encoding lacks
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    # Nearly all that a command makes lives as long as it does: to look for garbage among it is a tenth of its time.
-    gc.set_threshold(100_000)
     code = run(sys.argv[1:])
     # Nor is it searched for garbage several times as the process ends: a seventh of a command that traces nothing.
     gc.freeze()
