@@ -9,13 +9,15 @@ from pydantic import Field, ValidationError
 from ..errors import InputError
 from .base import Box, Fraction, Name, NonNegative, Packaged, Point, Polygon, Positive, Size, Table
 from .catalogue import Angle, LedPart, ModulePart, PhotodiodeElements, PhotodiodePart, check_pattern, load_part
-from .importers.board_files import FILM_UM, USUAL_FILM_UM
-from .importers.positions import BottomRotation, FileUnit
 
 # Deeper than any part's face may protrude, and than packages with wires, such as the BPW34 of 3.2 mm. [um]
 DEEPEST_EPOXY_UM = 5000
+# Thickness of boards that bend onto a nail, as a scene's kapton_um, and that of other boards' film. [um]
+FILM_UM, USUAL_FILM_UM = (5, 500), 25.0
 Wavelength = Annotated[float, Field(ge=200, le=3000)]
 Rotation = Annotated[float, Field(ge=-360, le=360)]
+FileUnit = Literal["mm", "mil", "inch"]
+BottomRotation = Literal["kicad", "assembler"]
 # What a written scene gives of every LED and photodiode, so that it needs no part any more.
 FROM_PART: dict[Any, set[str]] = {
     LedPart: {"wavelength_nm", "fwhm_nm", "flux_mw", "size_mm", "pattern"},

@@ -8,10 +8,7 @@ from pydantic import Field
 from ..errors import InputError
 from .base import Fraction, Name, NonNegative, Point, Polygon, Positive, Table, check_unique, shifted
 from .finger import DermisAbsorption, Digit
-from .importers.board_files import View, read_board_file, read_outline, view_of
-from .importers.outlines import is_point, middle
-from .importers.positions import READING, UNITS_MM, FileUnit, read_positions, warn_of_bottom
-from .parts import BoardFile, Led, Photodiode, Rotation
+from .parts import BoardFile, FileUnit, Led, Photodiode, Rotation
 from .text_files import read_text
 
 # What layouts can be ranked by, and most photodiodes of a searched one.
@@ -48,23 +45,25 @@ class Candidate(BoardFile):
     def _filled(cls, data: dict[str, Any], folder: Path | None) -> dict[str, Any]:
         if "photodiodes_mm" in data or not cls.is_to_be_read(data):
             return data
+        from .importers import board_files, positions
+
         if data.get("parts") or data.get("kicad") is not None:
             try:
                 # The film is the scene's.
-                leds, photodiodes, own = read_board_file(data | {"kapton_um": None}, folder)
+                leds, photodiodes, own = board_files.read_board_file(data | {"kapton_um": None}, folder)
             except InputError as error:
                 raise ValueError(str(error).rstrip(".")) from None
             filled: dict[str, object] = {"leds": leds, "photodiodes": photodiodes, "parts": None}
             return data | filled | {"unmapped": own["unmapped"]}
         path = Path(folder or Path()) / str(data["positions"])
-        parts = read_positions(path, **{name: data[name] for name in READING & data.keys()})
+        parts = positions.read_positions(path, **{name: data[name] for name in positions.READING & data.keys()})
         groups = {f"{kind}s": [p for p in parts if p.kind == kind] for kind in ("led", "photodiode")}
         used = [*groups["leds"], *groups["photodiodes"]]
         # Fiducials and holes, which nobody asks for, may share one.
         check_unique([part.ref for part in used], f"{path}: Ref")
         text = read_text(path, "a position file", any_encoding=True)
-        warn_of_bottom(data, parts, used, [part for part in used if part.rotation_deg % 90], text)
-        view = view_of(data, used, data.get("faces_nail")) if used else View()
+        positions.warn_of_bottom(data, parts, used, [part for part in used if part.rotation_deg % 90], text)
+        view = board_files.view_of(data, used, data.get("faces_nail")) if used else board_files.View()
         filled = {f"{name}_mm": tuple(view.place(p.position_mm) for p in group) for name, group in groups.items()}
         filled |= {f"{name}_deg": tuple(view.angle(p.rotation_deg) for p in group) for name, group in groups.items()}
         filled["led_refs"] = tuple((p.ref, p.value) for p in groups["leds"])
@@ -158,11 +157,13 @@ class Placement(Table):
     def _filled(cls, data: dict[str, Any], folder: Path | None) -> dict[str, Any]:
         if not isinstance(data.get("outline"), str) or "outline_mm" in data:
             return data
+        from .importers import board_files, outlines, positions
+
         unit, origin = data.get("outline_unit") or "mm", data.get("outline_origin") or (0.0, 0.0)
-        if unit not in get_args(FileUnit) or not (origin == "middle" or is_point(origin)):
+        if unit not in get_args(FileUnit) or not (origin == "middle" or outlines.is_point(origin)):
             return data  # which its fields refuse
-        outline = read_outline(Path(folder or Path()) / data["outline"], unit_mm=UNITS_MM[unit])
-        x, y = middle(outline.corners_mm) if origin == "middle" else origin
+        outline = board_files.read_outline(Path(folder or Path()) / data["outline"], unit_mm=positions.UNITS_MM[unit])
+        x, y = outlines.middle(outline.corners_mm) if origin == "middle" else origin
         corners, *holes = shifted((outline.corners_mm, *outline.holes_mm), (-x, -y))
         return data | {"outline_mm": corners, "outline_holes_mm": tuple(holes)}
 

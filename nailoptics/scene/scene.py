@@ -16,7 +16,6 @@ from .base import MOST_PHOTODIODES, Table, check_unique
 from .body import Body
 from .electronics import DARK, Ambient, Electronics, Oximeter, two_leds
 from .finger import Finger, Phantom
-from .importers.board_files import read_board_file
 from .layout import Layout, lay_out
 from .parts import FROM_PART, Board, BoardFile, Led, Photodiode
 from .placement import Placement
@@ -90,6 +89,8 @@ class Scene(Displayed, Table):
             return data
         if not all(isinstance(data.get(name, ()), tuple) for name in ("leds", "photodiodes")):
             return data
+        from .importers.board_files import read_board_file
+
         try:
             leds, photodiodes, own = read_board_file(board, folder)
         except (InputError, ValueError) as error:

@@ -13,6 +13,7 @@ from ...assets import data_dir
 from ...errors import InputError
 from ..base import Box, Point
 from ..catalogue import ModulePart, load_part
+from ..parts import FILM_UM, USUAL_FILM_UM
 from ..rectangles import area_mm2, turned
 from ..text_files import number_columns, read_rows, read_text
 from .kicad import KicadBoard, read_board
@@ -30,8 +31,6 @@ NEAR_NM = 15.0
 # A footprint's position is its body's middle, or the first pin of one with wires: farther from its pads' middle than
 # this, the pads count. [mm]
 ANCHOR_MM = 0.5
-# Thickness of boards that bend onto a nail, as a scene's kapton_um, and that of other boards' film. [um]
-FILM_UM, USUAL_FILM_UM = (5, 500), 25.0
 # No nail reaches farther from the origin: beyond this, a file's coordinates are those of a page. [mm]
 NAIL_REACH_MM = 20.0
 

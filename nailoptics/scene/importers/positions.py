@@ -6,12 +6,13 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from ...assets import read_toml
 from ...errors import InputError
 from ...io import of_plain_cell, plain_cell, write_text
 from ..base import Box
+from ..parts import BottomRotation, FileUnit
 from ..text_files import read_text, short
 from .outlines import FARTHEST_MM
 
@@ -27,10 +28,6 @@ KNOWN_AS, SIDES, UNITS_MM = (read_toml("position_files.toml")[name] for name in 
 LENGTH = re.compile(r"([-+]?[0-9.,]+(?:e[-+]?[0-9]+)?)\s*([a-z\"]*)", re.IGNORECASE)
 # How files of Excel begin, read as text.
 SPREADSHEETS = ("PK\x03\x04", "ÐÏ\x11à")
-# What a scene may say of a file that does not state its unit.
-FileUnit = Literal["mm", "mil", "inch"]
-# The angle of a part on the bottom: seen from the top, as KiCad writes it, or from below, as JLCPCB and others ask for.
-BottomRotation = Literal["kicad", "assembler"]
 
 
 @dataclass(frozen=True)
