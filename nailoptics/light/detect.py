@@ -3,7 +3,7 @@
 import json
 import logging
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from itertools import product
@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 
 from .. import geometry
-from ..errors import InputError, NotReachedError, as_far_as_reached, unless_cut_off
+from ..errors import InputError, as_far_as_reached, unless_cut_off
 from ..geometry import Geometry
 from ..options import Requested, TraceOptions
 from ..scene import Led, Scene
@@ -21,8 +21,6 @@ from ..statistics import quotient, upper_limit_95
 from ..variables import described, from_record, stopwatch, to_record
 from . import backend as backends, optics
 from .identity import led_digest, light_scene
-from .reference import readings as volpath
-from .reference.readings import StateReadings
 from .tracing import ProgressCallback, accuracy, trace
 from .tracing.store import LightStore, led_cache_key, load_or_compute
 from .transfer import Transfer, mean_of_leds, photodiode_names, provenance
@@ -135,6 +133,8 @@ def read_rest(
     run_time = stopwatch()
     options, engine = _options(scene, requested)
     if engine == "volpath":
+        from .reference import readings as volpath
+
         blood = scene.blood.rest_blood_fraction
         rest = None if scene.phantom is not None else np.full((1, scene.zone_count), blood)
         traced, rows = volpath.read_leds(scene, options, progress, rest), list[dict[str, Any]]()
@@ -142,7 +142,7 @@ def read_rest(
             values = zip(photodiode_names(scene), r.fraction[:, 0], r.fraction_stderr[:, 0], strict=True)
             rows += [_row(led, *value, r.paths) for value in values]
         energy = mean_of_leds([r.energy for r in traced if r.energy]) if scene.phantom is not None else None
-        photons, unmet = sum(r.paths for r in traced), _unmet(traced)
+        photons, unmet = sum(r.paths for r in traced), volpath.unmet(traced)
         result = RestReadings(rows, energy, photons, "volpath", options.backend)
     else:
         transfer, unmet = as_far_as_reached(trace, scene, progress=progress, **options.fields)
@@ -266,6 +266,8 @@ def _light_by_volpath(
     scene: Scene, states: np.ndarray, options: TraceOptions, progress: ProgressCallback | None
 ) -> DetectedLight:
     """Trace rest and one changed state per zone; between them each zone dims as in Beer-Lambert (8)."""
+    from .reference import readings as volpath
+
     if scene.zone_count > 2:
         why = f'and the scene has {scene.zone_count}; take light.engine = "photons", or two zones.'
         raise InputError(f"blood: volpath reads three blood states, enough for two zones, {why}")
@@ -283,13 +285,7 @@ def _light_by_volpath(
     made = provenance(scene, photons=sum(reading.paths for reading in traced), **made) | run_time()
     made["accuracy_reached"] = _reached(relative) + "; three blood states traced, Beer-Lambert (8) between them"
     readings_at = partial(volpath.between, traced, corners)
-    return unless_cut_off(DetectedLight(readings_at, no_path, no_path, absorbers, made), _unmet(traced))
-
-
-def _unmet(traced: Sequence[StateReadings]) -> NotReachedError | None:
-    """Why volpath's readings fall short of what is required, if they do."""
-    short = (NotReachedError(r.unmet_reason, interrupted=r.interrupted) for r in traced if r.unmet_reason)
-    return next(short, None)
+    return unless_cut_off(DetectedLight(readings_at, no_path, no_path, absorbers, made), volpath.unmet(traced))
 
 
 def rest_of(transfer: Transfer) -> RestReadings:

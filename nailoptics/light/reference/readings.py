@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...errors import InputError
+from ...errors import InputError, NotReachedError
 from ...geometry import Geometry, build
 from ...options import BackendName, TraceOptions
 from ...scene import Scene
@@ -160,6 +160,12 @@ class StateReadings:
     unmet_reason: str | None
     interrupted: bool
     energy: dict[str, tuple[float, float]] | None = None
+
+
+def unmet(traced: Sequence[StateReadings]) -> NotReachedError | None:
+    """Why readings fall short of what is required, if they do."""
+    short = (NotReachedError(r.unmet_reason, interrupted=r.interrupted) for r in traced if r.unmet_reason)
+    return next(short, None)
 
 
 @dataclass(eq=False)
