@@ -301,7 +301,6 @@ class BloodModel:
             rtol=rtol,
             only_diameters=not self.blood.oxygen_balance,
         ).isel(time=slice(len(before_s), None))
-        run = run.drop_vars("zone_position")
         # Zone by zone: of very many samples the arrays between are large.
         diameter_m, kind, small = run.capillary_diameter_m, precision(len(time_s)), self.arterioles
         fraction, over_time_pa = np.empty(diameter_m.shape, kind), [row.at(time_s) for row in pressures]
@@ -315,9 +314,8 @@ class BloodModel:
         if small is not None:
             so2 = None if so2 is None else (fraction * so2 + arteriolar * self.blood.so2) / (fraction + arteriolar)
             fraction += arteriolar
-        run = run[["capillary_diameter_m", "vein_diameter_m"]]
         # One by one, as they come as parts of one array.
-        run["capillary_diameter_m"], run["vein_diameter_m"] = diameter_m.astype(kind), run.vein_diameter_m.astype(float)
+        walls = {"capillary_diameter_m": diameter_m.astype(kind), "vein_diameter_m": run.vein_diameter_m.astype(float)}
         data = {"force_n": np.interp(time_s, course.time_s, course.force_n)}
         data |= {"proximal_pressure_pa": over_time_pa[0], "distal_pressure_pa": over_time_pa[1]}
         if course.shear_n is not None:
@@ -327,7 +325,7 @@ class BloodModel:
             data["so2"] = hemodynamics.saturation(self.blood, fraction) if so2 is None else so2
         if len(fraction) > 2:
             data["white_band_mm"] = self.white_band_mm(fraction)
-        run = run.assign(described(__package__, **data))
+        run = run[[*walls]].assign(walls | described(__package__, **data)).drop_vars("zone_position")
         hold_n = float(run.force_n[hold_end(run)])
         if bandwidth_hz and (false_n := self.false_forces_n(hold_n, bandwidth_hz=bandwidth_hz)):
             run = run.assign(described(__package__, false_force_n=list(false_n.values())))
