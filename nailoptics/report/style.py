@@ -204,11 +204,10 @@ def write_figure(figure: "Figure", path: Path, *, dpi: int = 140) -> None:
 
 def to_svg(figure: "Figure", *, description: str) -> str:
     """The figure as an SVG element for a page: no ids that could clash, no references, colours of the page."""
-    import matplotlib
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     buffer, metadata = StringIO(), dict.fromkeys(("Date", "Creator", "Format", "Type"))
-    with drawing(), matplotlib.rc_context({"svg.hashsalt": "nailoptics"}):
+    with drawing():
         # What savefig does, without drawing all of it once before for a size that the figure has.
         FigureCanvasSVG(figure).print_svg(buffer, metadata=metadata)
     text = re.sub(r"<metadata>.*?</metadata>\s*|<!--.*?-->\s*", "", buffer.getvalue(), flags=re.DOTALL)
