@@ -22,6 +22,7 @@ DECADES = 3
 # Names of parts stand so far beside the board; mean width of their letters, and from line to line; names that take
 # more than this fraction of the drawing's width are written smaller. [mm], [inch], [1]
 LABEL_MM, LETTER_IN, LINE_IN, MOST_NAMES_PART = 0.45, 0.065, 0.125, 0.65
+MOST_NAMED = 64  # photodiodes; names of more could not be read
 # Beside the section stand its key and the scale of the paths.
 BESIDE = style.Room(left=0.55, right=1.25, down=0.7)
 LAYERS = ("plate", "bed", "bone")
@@ -124,8 +125,8 @@ def _blood_zones(axes: "style.Axes", scene: Scene, half_u: float, half_v: float)
 
 
 def _names_beside(scene: Scene) -> list[list[tuple[Rectangle, str]]]:
-    """Parts with the names that stand left and right of the board: photodiodes on the right, the rest on the side where
-    it lies, but where the line to a name would cross another part."""
+    """Parts with the names that stand left and right of the board: photodiodes on the right, if they are not too many,
+    the rest on the side where it lies, but where the line to a name would cross another part."""
     layout = scene.layout
     right = [(e.area, e.name) for e in layout.photodiodes]
     middle = sum(r.center_mm[0] for r, _ in right) / len(right)
@@ -137,7 +138,8 @@ def _names_beside(scene: Scene) -> list[list[tuple[Rectangle, str]]]:
     if layout.unwired:
         lowest = min(layout.unwired, key=lambda r: r.v_min)
         others.append((Rectangle("", lowest.u_min + 0.1, lowest.u_max, lowest.v_min, lowest.v_max), "not wired"))
-    sides = [(1, *one) for one in right] + [(1 if r.center_mm[0] > middle else -1, r, name) for r, name in others]
+    named = [(1, *one) for one in right if len(right) <= MOST_NAMED]
+    sides = named + [(1 if r.center_mm[0] > middle else -1, r, name) for r, name in others]
     parts = [*layout.leds, *layout.photodiode_areas]
     groups: dict[int, list[tuple[Rectangle, str]]] = {-1: [], 1: []}
     for side, r, name in sides:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from small_scenes import finger
 
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
@@ -313,6 +314,17 @@ def test_the_board_fits_a_telephone_and_its_names_do_not_touch():
     assert len(boxes) == 7 and not any(a.overlaps(b) for a, b in combinations(boxes, 2))
     names = [line for line in axes.lines if len(line.get_xdata()) == 3]
     assert len(names) == 7 and max(line.zorder for line in names) < min(p.zorder for p in axes.patches[-7:])
+
+
+@pytest.mark.parametrize(("elements", "named"), [(32, 64), (33, 0)])
+def test_names_of_more_photodiodes_than_could_be_read_are_left_out(elements, named):
+    columns = [
+        {"name": n, "elements": elements, "size_mm": [0.2, 0.2], "position_mm": [u, 0.0]}
+        for n, u in (("a", 0.0), ("b", 1.0))
+    ]
+    (axes,) = maps.top_view.__wrapped__(parse_scene(finger(*columns, leds=({"position_mm": [-2.0, 0.0]},)))).axes
+    names = [text.get_text() for text in axes.texts]
+    assert sum(name[:2] in ("a.", "b.") for name in names) == named and "LED ir, 800 nm" in names
 
 
 def test_the_energy_budget_is_shown_where_it_is_available(undrawn, make):

@@ -342,7 +342,7 @@ def volts(result: xr.Dataset, scene: Scene, *, led: int) -> "style.Figure":
 def _thin(result: xr.Dataset) -> xr.Dataset:
     """At most so many times, the first and the last among them; no change of what detected no light."""
     count = result.sizes["time"]
-    thin = result.isel(time=np.unique(np.linspace(0, count - 1, min(count, SAMPLES)).round().astype(int)))
+    thin = result if count <= SAMPLES else result.isel(time=np.linspace(0, count - 1, SAMPLES).round().astype(int))
     return thin.assign(volts_change=thin.volts_change.where(thin.detected_fraction.any("time")))
 
 
