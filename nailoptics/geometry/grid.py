@@ -32,8 +32,9 @@ class Grid:
     @property
     def least_volume_mm3(self) -> float:
         """The least volume of the `tetrahedra`: negative where the grid folds. [mm^3]"""
-        a, b, c = np.moveaxis(np.diff(self.nodes.reshape(-1, 3)[self.tetrahedra()[0]], axis=1), 1, 0)
-        return float(np.einsum("ij,ij->i", a, np.cross(b, c)).min()) / 6
+        nodes, sixths = self.nodes.reshape(-1, 3), np.split(self.tetrahedra()[0], 6)
+        edges = (np.moveaxis(np.diff(nodes[corners], axis=1), 1, 0) for corners in sixths)
+        return min(float(np.einsum("ij,ij->i", a, np.cross(b, c)).min()) for a, b, c in edges) / 6
 
     def merged(self) -> tuple[Array, Integers]:
         """The places (v, 3) of nodes, each once, in order, and which of them is each node's, (p,) int."""

@@ -113,8 +113,8 @@ def room_of(part: Led | Photodiode, center_mm: Point, spare_mm: float = 0.0) -> 
 def _side_by_side(parts: list[tuple[str, Rectangle]]) -> Iterator[tuple[tuple[str, Rectangle], tuple[str, Rectangle]]]:
     """Pairs of parts whose boxes along the axes overlap: of a thousand parts few of half a million."""
     low, high = (np.array([[getattr(r, f"{axis}_{end}") for axis in "uv"] for _, r in parts]) for end in ("min", "max"))
-    close = (np.minimum(high[:, None], high) > np.maximum(low[:, None], low)).all(-1)
-    for i, j in np.argwhere(np.triu(close, 1)):
+    u, v = (np.minimum.outer(b, b) > np.maximum.outer(a, a) for a, b in zip(low.T, high.T, strict=True))
+    for i, j in np.argwhere(np.triu(u & v, 1)):
         yield parts[i], parts[j]
 
 

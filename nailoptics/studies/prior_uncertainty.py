@@ -192,7 +192,7 @@ class PriorSensitivity:
         nodes = np.where(np.isfinite(self.nodes[:, :, group]), self.nodes[:, :, group], np.nan)
         low, middle, high = np.moveaxis(nodes, 1, 0)
         slope, bend = (high - low) / (NODES[2] - NODES[0]), (high + low - 2 * middle) / (2 * NODES[2] ** 2)
-        values = np.tensordot(self._standard, slope, 1) + np.tensordot(self._standard**2, bend, 1)
+        values = np.tensordot(np.hstack([self._standard, self._standard**2]), np.concatenate([slope, bend]), 1)
         values += base + (middle - base).sum(0)
         return np.asarray(self.answer(values, base))
 

@@ -349,4 +349,4 @@ def test_memory_for_interfaces_does_not_grow_with_the_regions():
     build(scene)
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert most < 300e6
+    assert most < 40e6

@@ -15,6 +15,8 @@ COLUMNS = ("photon", "photodiode", "weight", "path_mm")
 SUMS = ("energy", "absorbed")
 # Where light may go.
 ENERGY = ("reflected", "transmitted", "absorbed", "lost")
+# Photons read at once: their weights in all states fill the processor's cache, not the memory.
+CHUNK = 4096
 # Photons of a full batch: enough to keep a processor's lanes busy; a graphics card's need a phantom's in a finger, too.
 FINGER_BATCH_PHOTONS, PHANTOM_BATCH_PHOTONS = 1 << 17, 1 << 19
 
@@ -174,8 +176,10 @@ class LedTrace:
         mu_a : (q, r) float. Absorption over the line. [mm^-1]
         share : (q,) float. Weights of the line.
         """
-        parts = (part * attenuation(self.path_mm, mu) for mu, part in zip(mu_a - self.mu_a, share, strict=True))
-        return self.weight * np.asarray(sum(parts))
+        # Of all at once, paths in double precision would take more memory than the records.
+        rows = (slice(k, k + CHUNK) for k in range(0, max(len(self.weight), 1), CHUNK))
+        factor = [attenuation(self.path_mm[part], mu_a - self.mu_a) @ share for part in rows]
+        return self.weight * np.concatenate(factor)
 
     def moments(self, mu_a: np.ndarray, share: np.ndarray, *, count: int) -> Moments:
         """Sums over the photons of `count` photodiodes at a state, as `weight_at` takes it."""
@@ -205,8 +209,8 @@ def joined(traces: Sequence[LedTrace]) -> LedTrace:
     seeds = tuple(seed for trace in traces for seed in trace.seeds)
     together: dict[str, Any] = {name: np.concatenate([getattr(trace, name) for trace in traces]) for name in COLUMNS}
     *before, photons = np.cumsum([0, *(trace.photons for trace in traces)])
-    photon = together["photon"] + np.repeat(before, [len(trace.photon) for trace in traces])
-    together["photon"] = photon.astype(np.promote_types(np.uint32, np.min_scalar_type(photons)))
+    first = np.array(before, np.promote_types(np.uint32, np.min_scalar_type(photons)))
+    together["photon"] = together["photon"] + np.repeat(first, [len(trace.photon) for trace in traces])
     for column in SUMS:
         sums = [getattr(trace, column) for trace in traces]
         pairs = {name: [by_name.get(name, (0.0, 0.0)) for by_name in sums] for by_name in sums for name in by_name}

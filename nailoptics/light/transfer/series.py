@@ -15,7 +15,7 @@ from ...errors import InputError
 from ...scene import Scene
 from ...statistics import leave_one_out, quotient, stderr_of_mean
 from .. import optics
-from .records import attenuation, transmissions
+from .records import CHUNK, attenuation, transmissions
 from .transfer import Transfer
 
 # Interpolation may be off by this fraction of a reading; no trace has a standard error near it.
@@ -24,8 +24,6 @@ INTERPOLATION_ERROR = 1e-7
 NODES_AT_ONCE = 64
 # States interpolated at once: their weights on the nodes fill the cache, not the memory.
 STATES_AT_ONCE = 1 << 13
-# Photons read at once: their weights in all states fill the processor's cache, not the memory.
-CHUNK = 4096
 # Groups of photons that are left out in turn.
 GROUPS = 40
 
@@ -256,8 +254,8 @@ def read_replicates(
             weights += part_weight
             slope += part_weight[0] * relative[at, q]
         group = at * GROUPS + trace.photon[chunk] % GROUPS
-        rows = [*weights, *(slope * lengths[:, zones].T)]
-        sums += [np.bincount(group, row, minlength=count * GROUPS) for row in rows]
+        for total, row in zip(sums, (*weights, *(slope * lengths[:, zones].T)), strict=True):
+            total += np.bincount(group, row, minlength=count * GROUPS)
     read = leave_one_out(sums.reshape(len(sums), count, GROUPS).T * (GROUPS / trace.photons))
     total = read[..., : len(mu_a)]
     return total, quotient(read[..., len(mu_a) :], total[..., :1])

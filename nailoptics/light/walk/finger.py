@@ -23,9 +23,9 @@ from .tallies import BoardTally, FluenceTally, Section
 PLATE, BED, EPOXY = (optics.TISSUES.index(name) for name in ("plate", "bed", "epoxy"))
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=4)
 def built(scene: Scene, variant: str, board: bool = True) -> tuple[Geometry, Interfaces]:
-    """A scene's geometry and what light meets there in a variant of Mitsuba, for all scenes of one shape; 5 MB."""
+    """A scene's geometry and what light meets there in a variant of Mitsuba for all scenes of one shape; 5 to 16 MB."""
     geometry = finger_geometry.build(scene, board=board)
     return geometry, Interfaces(geometry, finger_geometry.distance_grid(geometry))
 

@@ -111,9 +111,8 @@ class Splitting:
 
         Returns: photon (n,) and photodiode (n,) int, weight (n,) float and path (t, n) [mm], in the photons' order.
         """
-        photon, photodiode, weight, *path = (
-            np.array(column)[: self.count[0]] for column in (self.photon, self.photodiode, self.weight, *self.path)
-        )
+        columns = (self.photon, self.photodiode, self.weight)
+        photon, photodiode, weight = (np.array(column)[: self.count[0]] for column in columns)
         pair = photon.astype(np.int64) << 32 | photodiode
         # Copies of a photon come one after the other: a stable order is the same each time.
         order = np.argsort(pair, kind="stable")
@@ -126,7 +125,7 @@ class Splitting:
         # Rounding must not draw a neighbour's.
         drawn = np.clip(np.searchsorted(up_to, lot), first, np.append(first[1:], len(pair)) - 1)
         chosen = order[drawn]
-        return photon[chosen], photodiode[chosen], total, np.stack(path)[:, chosen]
+        return photon[chosen], photodiode[chosen], total, np.stack([np.array(column)[chosen] for column in self.path])
 
 
 @dr.syntax

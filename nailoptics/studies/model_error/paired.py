@@ -15,7 +15,7 @@ from ...errors import InputError, NotReachedError, as_far_as_reached
 from ...hemodynamics.for_scene import steady_blood
 from ...hemodynamics.touch import largest_force_n
 from ...light import ProgressCallback, TraceProgress, Transfer, optics, trace
-from ...light.transfer.records import transmissions
+from ...light.transfer.records import CHUNK, transmissions
 from ...options import TraceOptions
 from ...scene import Scene
 from ...statistics import MIN_EFFECTIVE_TERMS, covariance_of_sums, jackknife, magnitude_bound_95, quotient
@@ -26,8 +26,6 @@ USUAL_SECONDS = 90.0
 PILOT_PHOTONS, PLANNED_SHARE = 1 << 15, 0.8
 # Standard error of a count of photons that is 0, 3 / Z95: of n photons none detected is, at 95 %, a part below 3 / n.
 UNDETECTED = 1.53
-# Photons that are read at once, to bound the memory.
-CHUNK = 1 << 18
 
 
 @dataclass(frozen=True)
@@ -94,10 +92,8 @@ def paired_readings(transfer: Transfer, setup_seconds: float = 0.0) -> PairedRea
     for recorded, led in zip(transfer.traces, scene.leds, strict=True):
         wavelength, share = optics.detected_spectrum(led, scene.elements)
         mu_a = optics.absorption(scene, wavelength, blood_fraction=states) - recorded.mu_a
-        left = [
-            transmissions(recorded.path_mm[part], mu_a, share[recorded.photodiode[part]])
-            for part in (slice(k, k + CHUNK) for k in range(0, max(len(recorded.weight), 1), CHUNK))
-        ]
+        rows = (slice(k, k + CHUNK) for k in range(0, max(len(recorded.weight), 1), CHUNK))
+        left = [transmissions(recorded.path_mm[part], mu_a, share[recorded.photodiode[part]]) for part in rows]
         parts.append(np.concatenate(left) * recorded.weight[:, None] / recorded.photons)
     return PairedReadings(transfer, tuple(parts), setup_seconds)
 
