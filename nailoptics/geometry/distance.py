@@ -94,11 +94,11 @@ def distance_grid(geometry: Geometry, *, spacing_mm: float = SPACING_MM) -> Dist
 
 def _heights(corners: Array) -> Array:
     """The least and the largest distance of a place on each triangle (m, 3, 3) to the y axis, (2, m). [mm]"""
-    flat, after = corners[..., ::2], np.roll(corners[..., ::2], -1, axis=1)
-    along = after - flat
-    part = -(flat * along).sum(-1) / np.maximum((along**2).sum(-1), 1e-12)
-    nearest = np.linalg.norm(flat + np.clip(part, 0, 1)[..., None] * along, axis=-1).min(1)
-    return np.stack([nearest, np.linalg.norm(flat, axis=-1).max(1)])
+    flat = np.ascontiguousarray(corners.T[::2])
+    along = np.roll(flat, -1, axis=1) - flat
+    part = -(flat * along).sum(0) / np.maximum((along**2).sum(0), 1e-12)
+    nearest = np.linalg.norm(flat + np.clip(part, 0, 1) * along, axis=0).min(0)
+    return np.stack([nearest, np.linalg.norm(flat, axis=0).max(0)])
 
 
 def _shells(lowest: Array, highest: Array, area_mm2: Array) -> tuple[NDArray[np.bool_], Array]:

@@ -33,7 +33,7 @@ class Grid:
     def least_volume_mm3(self) -> float:
         """The least volume of the `tetrahedra`: negative where the grid folds. [mm^3]"""
         nodes, sixths = self.nodes.reshape(-1, 3), np.split(self.tetrahedra()[0], 6)
-        edges = (np.moveaxis(np.diff(nodes[corners], axis=1), 1, 0) for corners in sixths)
+        edges = (np.diff(nodes.take(corners.T, axis=0), axis=0) for corners in sixths)
         return min(float(np.einsum("ij,ij->i", a, np.cross(b, c)).min()) for a, b, c in edges) / 6
 
     def merged(self) -> tuple[Array, Integers]:
