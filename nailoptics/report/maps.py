@@ -280,8 +280,8 @@ def _layers(axes: "style.Axes", cut: xr.DataArray, left: float, bottom: float) -
         here = cut.values == (cut.names.index(name) if name in cut.names else -1)
         if here.any():
             border: dict[str, Any] = {"levels": [0.5], "zorder": 4}
-            axes.contour(cut.y, cut.z, here.T, colors=["#ffffff"], linewidths=1.6, alpha=0.55, **border)
-            axes.contour(cut.y, cut.z, here.T, colors=[style.DARK_INK], linewidths=0.7, **border)
+            halo = axes.contour(cut.y, cut.z, here.T, colors=["#ffffff"], linewidths=1.6, alpha=0.55, **border)
+            axes.contour(halo, colors=[style.DARK_INK], linewidths=0.7, **border)
         heights = cut.z.values[here[column] & (cut.z.values > bottom)]
         if heights.size:
             axes.text(left + 0.12, heights.mean(), name, fontsize=8, color=style.DARK_INK, va="center", zorder=6)

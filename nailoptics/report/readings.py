@@ -37,7 +37,7 @@ def photodiode_readings(result: xr.Dataset, scene: Scene | None = None) -> pd.Da
     rest, held = result.isel(time=0, drop=True), result.isel(time=hold_end(result), drop=True)
     pair = ("led", "photodiode")
     # Pair by pair, as of a million samples each copy of all readings is large.
-    swings = [[int(np.nanargmax(np.abs(course))) for course in of_led] for of_led in result.volts_change]
+    swings = [[int(np.nanargmax(np.abs(course))) for course in of_led] for of_led in result.volts_change.values]
     peak = result[["volts_change", "volts_change_stderr"]].isel(time=xr.DataArray(swings, dims=pair)).drop_vars("time")
     columns = {
         "volts_start": rest.volts,
