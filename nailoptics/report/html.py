@@ -29,8 +29,7 @@ class Script(str):
 
 def texts(page: str) -> dict[str, Any]:
     """The longer texts and the tables of words of a page, by their names in texts.toml."""
-    texts = tomllib.loads(file_text("pages/texts.toml"))[page].items()
-    return {name: " ".join(text.split()) if isinstance(text, str) else text for name, text in texts}
+    return {name: " ".join(text.split()) if isinstance(text, str) else text for name, text in _PAGES[page].items()}
 
 
 @cache
@@ -39,6 +38,7 @@ def file_text(name: str) -> str:
     return resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
+_PAGES = tomllib.loads(file_text("pages/texts.toml"))
 # What makes a result again, by its attributes.
 PROVENANCE = texts("provenance")
 
