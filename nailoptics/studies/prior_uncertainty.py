@@ -93,7 +93,7 @@ def over_priors(
                 middle = base * NODES[2] ** 2 / (NODES[2] ** 2 - offset**2)
                 middle = middle + offset / 2 * (low / (NODES[2] + offset) - high / (NODES[2] - offset))
             else:
-                middle = at(values[1])
+                middle = base if values[1] == value_of(scene, prior.field) else at(values[1])
             nodes.append([low, middle, high])
     except NotReachedError:
         priors = priors[: len(nodes)]
