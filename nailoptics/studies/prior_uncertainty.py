@@ -81,10 +81,11 @@ def over_priors(
         scene by as many with common random numbers is added to the scene's by all, which is the control variate.
         Where it raises NotReachedError, this prior and those after it are left out.
     """
-    base, nodes, anew = answer(scene), [], retraced or answer
+    base, anew = answer(scene), retraced or answer
+    nodes = np.empty((len(priors), len(NODES), *base.shape))
     twin = cache(lambda: anew(scene))
     try:
-        for prior in priors:
+        for k, prior in enumerate(priors):
             as_traced = (absorbs := only_absorbs(scene, prior)) or retraced is None
             at = answer if as_traced else lambda varied: base + anew(varied) - twin()
             values = [at_value(scene, prior.field, value) for value in nodes_of(prior)]
@@ -94,11 +95,10 @@ def over_priors(
                 middle = middle + offset / 2 * (low / (NODES[2] + offset) - high / (NODES[2] - offset))
             else:
                 middle = base if values[1] == value_of(scene, prior.field) else at(values[1])
-            nodes.append([low, middle, high])
+            nodes[k] = low, middle, high
     except NotReachedError:
-        priors = priors[: len(nodes)]
-    by_prior = np.array(nodes).reshape(len(priors), len(NODES), *base.shape)
-    return PriorSensitivity(tuple(priors), by_prior, base, scene.priors.correlation(priors))
+        priors = priors[:k]
+    return PriorSensitivity(tuple(priors), nodes[: len(priors)], base, scene.priors.correlation(priors))
 
 
 def offset_of(scene: Scene, prior: Prior) -> float:
