@@ -43,7 +43,7 @@ class Protocol(NamedTuple):
         time_s = np.arange(self.time_s[-1] * rate_hz) / rate_hz
         time_s = time_s[~is_off(time_s, self.time_s, self.force_n)]
         columns = [np.interp(time_s, self.time_s, values) for values in self[1:]]
-        rows = (f"{t!r},{n:.4f},{p:.4f}" for t, n, p in zip(time_s.tolist(), *columns, strict=True))
+        rows = (f"{t!r},{n:.4f},{p:.0f}" for t, n, p in zip(time_s.tolist(), *columns, strict=True))
         write_text(Path(path), "\n".join(["time_s,force_n,proximal_share", *rows]) + "\n")
 
 

@@ -18,6 +18,7 @@ from nailoptics.scene.protocol import (
     Protocol,
     protocol,
 )
+from nailoptics.studies.force.reading_table import site_of
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -46,6 +47,8 @@ def test_the_command_writes_the_touch_of_the_profile(tmp_path):
     for name in ("recorded_force_n", "recorded_proximal_share"):
         at_s = np.array(read.recorded_time_s)
         expected = np.interp(at_s, drawn.recorded_time_s, getattr(drawn, name))
+        # Within the rest in which it changes, the file changes the side at once.
+        expected = np.round(expected) if name == "recorded_proximal_share" else expected
         assert np.array(getattr(read, name)) == pytest.approx(expected, abs=1e-4)
     assert protocol(3).force_n.tolist() != protocol(4).force_n[: len(protocol(3).force_n)].tolist()
 
@@ -75,3 +78,16 @@ def test_a_scene_with_the_protocol_keeps_it_in_its_file(tmp_path):
     scene = load_scene("prototype")
     scene = scene.model_copy(update={"touch": Touch(profile="protocol", sample_rate_hz=20.0)})
     assert parse_scene(to_toml(scene)).touch == scene.touch
+
+
+def test_its_file_as_a_touch_presses_the_sides_that_the_profile_does(tmp_path):
+    """Rationale: a recording simulated from it calibrates. Expected: of another file, a side only where it has one."""
+    drawn, path = protocol(1), tmp_path / "protocol.csv"
+    drawn.save(path, sample_rate_hz=25.0)
+    of_file = Touch.model_validate({"profile": "recorded", "file": "protocol.csv"}, context={"folder": tmp_path})
+    scene, sites = load_scene("prototype"), []
+    for touch in (of_file, Touch(profile="protocol", protocol_seed=1)):
+        sites.append(site_of(scene.model_copy(update={"touch": touch}), of_file.times_s()))
+    assert set(sites[0].tolist()) == {0.0, 1.0} and (sites[0] != sites[1]).mean() < 1e-3
+    shared = of_file.model_copy(update={"recorded_proximal_share": (0.4,) * len(of_file.times_s())})
+    assert np.isnan(site_of(scene.model_copy(update={"touch": shared}), drawn.time_s)).all()

@@ -106,9 +106,9 @@ def test_a_recording_may_hold_pressures_and_shear(tmp_path):
         ("time_s,force_n\n0,0\n1,1\n1,1\n", "line 4: time_s = 1 does not come after 1"),
         ("time_s,force_n\n0,0\nnan,1\n", "not a finite number; every row needs one"),
         ("time_s,force_n\n0,0\n1,inf\n", "not a finite number; every row needs one"),
-        ("time_s,force_n\n0,0\n1,-0.06\n", "line 3: force_n = -0.06 must lie in 0 to 100 N"),
-        ("time_s,force_n\n0,0\n1,-0.5\n", "force_n = -0.5 must lie in 0 to 100 N"),
-        ("time_s,force_n\n0,0\n1,1000\n", "force_n = 1000 must lie in 0 to 100 N"),
+        ("time_s,force_n\n0,0\n1,-0.06\n", "line 3: force_n = -0.06 must lie in 0 to 30 N"),
+        ("time_s,force_n\n0,0\n1,-0.5\n", "force_n = -0.5 must lie in 0 to 30 N"),
+        ("time_s,force_n\n0,0\n1,1000\n", "force_n = 1000 must lie in 0 to 30 N"),
         ("time_s,force_n\n1e12,0\n1000000000001,1\n", "line 2: time_s = 1e+12 must lie in -1e+10 to 1e+10 s"),
         (
             "time_s,distal_pressure_pa\n0,0\n1,1\n",

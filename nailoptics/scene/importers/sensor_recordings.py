@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...checks import Array
 from ...errors import InputError
 from ...io import write_text
-from ..base import ARTERIAL_PA, LEAST_AREA_MM2, VENOUS_PA
+from ..base import ARTERIAL_PA, LEAST_AREA_MM2, MOST_FORCE_N, VENOUS_PA
 from ..electronics import DARK
 from ..text_files import Rows, number_columns, parse_toml, read_rows, read_text
 
@@ -24,7 +24,7 @@ MOST_TIME_S = 1e10
 # What a column may hold, and its unit. A touch presses with less than 100 N/cm^2.
 RANGES: dict[str, tuple[float, float, str]] = {
     "time_s": (-MOST_TIME_S, MOST_TIME_S, "s"),
-    "force_n": (0.0, 100.0, "N"),
+    "force_n": (0.0, MOST_FORCE_N, "N"),
     "shear_n": (-100.0, 100.0, "N"),
     **dict.fromkeys(PRESSURES, (0.0, 1e6, "Pa")),
     "contact_area_mm2": (LEAST_AREA_MM2, 1e3, "mm^2"),
@@ -232,7 +232,7 @@ def check_volts(volts: Array, names: Sequence[str], label: str) -> None:
     for title, values in zip(names, volts, strict=True):
         known = values[np.isfinite(values)]
         if not known.size:
-            raise InputError(f"{label}: column {title!r} is empty; leave it out or record it.")
+            raise InputError(f"{label}: column {title!r} is empty; record it.")
         if np.abs(known).max() > MOST_VOLTS:
             raise InputError(f"{label}: column {title!r} reaches {np.abs(known).max():g} V, which {NOT_VOLTS}.")
         if known.size > 2 and np.ptp(known) == 0:

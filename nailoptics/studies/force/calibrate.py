@@ -15,8 +15,7 @@ from ...light import ProgressCallback, backend, open_light
 from ...light.tracing import StageProgress
 from ...options import Requested, TraceOptions
 from ...scene import Scene, SceneIn, as_scene, digest, to_toml
-from ...scene.base import MOST_FORCE_N
-from ...scene.importers.sensor_recordings import IN_NEWTONS, Recording, check_known, read_sensor_recording
+from ...scene.importers.sensor_recordings import Recording, check_known, read_sensor_recording
 from ...scene.protocol import CLOSING_N, FIRST_REST_S, LEAST_TOUCHES, LEVEL_N, SIDE_S
 from ...sensor import electronics
 from ...variables import variable
@@ -122,7 +121,7 @@ def calibrate_with(
         scene=to_toml(scene),
         subject=subject_toml(subject),
         recordings=[recording.name for recording in recordings],
-        warnings=_warnings(subject, recordings),
+        warnings=_warnings(subject),
     )
 
 
@@ -134,7 +133,7 @@ def _subject(scene: Scene, fit: Fit, fitted: Fitted) -> Subject:
     residual_rms_v = np.sqrt(np.nanmean(np.concatenate(fitted.residual_v, axis=1) ** 2, axis=1))
     return Subject(
         scene_digest=digest(scene),
-        quality=Quality(fitted.chi2_per_dof, rms_n=np.nan),
+        quality=Quality(fitted.chi2_per_dof, rms_n=np.nan, lacking=tuple(lacking(fit.recordings))),
         factors=np.exp(fitted.factors_ln),
         readings=Readings(fitted.gain, fitted.offset_v, residual_rms_v, noise_v),
         noise=replace(noise, donning=fitted.donning),
@@ -144,9 +143,9 @@ def _subject(scene: Scene, fit: Fit, fitted: Fitted) -> Subject:
     )
 
 
-def _warnings(subject: Subject, recordings: Sequence[Recording]) -> list[str]:
+def _warnings(subject: Subject) -> list[str]:
     """Limits of a calibration, for its user."""
-    warnings, quality = [*lacking(recordings)], subject.quality
+    warnings, quality = [*subject.quality.lacking], subject.quality
     factors = subject.factor_table()
     # Of what is not a constant of the vessels, as the pulp's creep, there may be hardly any.
     of_vessels = [bool(prior.fields) for prior in PRIORS.values()]
@@ -272,7 +271,6 @@ def _faults(recording: Recording) -> Iterator[str]:
     usual_s, longest = float(np.median(steps_s)), int(np.argmax(steps_s))
     first_rest_s = _first_rest_s(recording)
     faults = {
-        f"force_n reaches {most_n:.3g}; {IN_NEWTONS}.": most_n > MOST_FORCE_N,
         f"force_n is constant at {force_n[0]:g} N; press the finger.": np.ptp(force_n) == 0,
         f"force_n reaches {most_n:.3g} N; press up to 1 N or more, {MOST_TOUCH_N:g} N at most, and give it in "
         "newtons.": not LEAST_TOUCH_N <= most_n <= MOST_TOUCH_N,

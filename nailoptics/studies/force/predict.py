@@ -72,7 +72,7 @@ def predict(
         long = f"samples for longer than {MISSING_S:g} s or since before it was read at rest"
         warnings.append(f"{', '.join(absent)} missing in so many {long}: force there is the filter's alone.")
     by_side = {f"open_above_{side}_n": force_n for side, force_n in estimator.open_above_n.items()}
-    warnings = [*filter(None, [subject.quality.fault]), *warnings]
+    warnings[:0] = filter(None, [subject.quality.fault, *map("calibration: {}".format, subject.quality.lacking)])
     if (is_open := result.attrs["touch_open_above"]) > 0.5:
         no_bound = f"{is_open:.0%} of the touches' intervals have no upper bound"
         warnings.append(f"{no_bound}: that they cover the force says little.")

@@ -141,8 +141,8 @@ def record(result: xr.Dataset, *, seed: int = 0) -> Recording:
 def site_of(scene: Scene, time_s: Array) -> Array:
     """Where the scene's touch presses at some times [s]: 1 proximal, 0 distal, NaN even."""
     touch = scene.touch
-    if touch.profile == "protocol":
-        return np.round(np.interp(time_s, touch.recorded_time_s or (), touch.recorded_proximal_share or ()))
+    if touch.recorded_proximal_share and {0.0, 1.0}.issuperset(touch.recorded_proximal_share):
+        return np.round(np.interp(time_s, touch.recorded_time_s or (), touch.recorded_proximal_share))
     site = SITES[touch.site] if touch.site else {1.0: 1.0, 0.0: 0.0}.get(touch.proximal_share, np.nan)
     return np.full(time_s.shape, site)
 

@@ -45,12 +45,14 @@ class Quality:
     chi2_per_dof : of the whitened residuals. rms_n : error of touches' force; NaN where it could not be judged. [N]
     outliers : fraction of the samples of a force that stays that the filter takes for outliers. [1]
     touches : rms_n, relative_error (of the touches' rms force), coverage_95 and half_width_n of touches by kind. [N, 1]
+    lacking : what recordings lack of the protocol.
     """
 
     chi2_per_dof: float
     rms_n: Annotated[float, Field(allow_inf_nan=True)]
     outliers: Fraction = 0.0
     touches: dict[str, dict[str, Annotated[float, Field(allow_inf_nan=True)]]] = Field(default_factory=dict)
+    lacking: tuple[str, ...] = ()
 
     @property
     def relative_error(self) -> float:

@@ -20,7 +20,6 @@ from scipy.spatial import KDTree
 
 from ...scene.importers.sensor_recordings import Recording
 from ...scene.protocol import LEVEL_N
-from ...statistics import covariance_root
 from .body_noise import REST_FORCE_N
 from .ensemble import COMPONENTS, HALF_WIDTH_TERMS, Ensemble, Features, gaussians, half_width_terms, mixed, terms_of
 from .fit import LEAST_TOUCHES_OF_ALL, averaged, joined
@@ -154,14 +153,15 @@ def train(subject: Subject, series: CalibrationSeries) -> tuple[Ensemble, dict[s
 
 
 def _features_with_drift(subject: Subject, series: CalibrationSeries, components: Array) -> Array:
-    """Features (D, COPIES, T) of a calibration; drifts are drawn onto the readings of all copies but 0. Of a drift is
-    left what readings at rest, which follow it, leave of it."""
-    root, shape = covariance_root(subject.drift_covariance), (-1, COPIES, len(series.since_s))
-    draws = np.random.default_rng(0).normal(size=(len(root), *shape[1:])) * (np.arange(COPIES) > 0)[:, None]
+    """Features (D, COPIES, T) of a calibration; drifts are drawn onto the readings of all copies but 0, by Cholesky's
+    factor, the same whatever rounding does. Of a drift is left what readings at rest, which follow it, leave of it."""
+    root = np.linalg.cholesky(subject.drift_covariance + 1e-12 * np.eye(len(series.over_rest)))
+    draws = np.random.default_rng(0).normal(size=(len(root), COPIES, len(series.since_s)))
+    draws *= (np.arange(COPIES) > 0)[:, None]
     walk = np.einsum("rs,sct->rct", root, np.cumsum(draws * np.sqrt(series.since_s / 60.0), axis=-1))
-    drifting = np.exp(walk).reshape(-1, shape[-1])
+    drifting = np.exp(walk).reshape(-1, walk.shape[-1])
     followed = Features(np.empty((0, len(drifting)))).over_rest(drifting, series.force_n < REST_FORCE_N, series.since_s)
-    readings = series.over_rest[:, None] + followed.reshape(shape)
+    readings = series.over_rest[:, None] + followed.reshape(walk.shape)
     pressure_n = series.by_filter.pressure_n_per_cm2 * subject.person.side_areas_cm2[:, None]
     return Features(components).with_memory(readings, np.repeat(pressure_n[:, None], COPIES, axis=1), series.since_s)
 

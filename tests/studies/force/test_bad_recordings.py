@@ -94,7 +94,7 @@ EITHER = [
     ),
     (lambda text: text.replace("\n0.02,", "\n0,02,"), "write numbers with a decimal point"),
     (_column(FIRST, lambda cell, k: "0.5"), "is constant at 0.5 V; check its wiring"),
-    (_column(FIRST, lambda cell, k: ""), "is empty; leave it out or record it"),
+    (_column(FIRST, lambda cell, k: ""), "is empty; record it"),
     (_column(FIRST, lambda cell, k: f"-{cell}"), "is mostly below 0 V; change its sign"),
     (_column(FIRST, lambda cell, k: "4.9999" if k % 2 else "5"), "is saturated"),
     (_column(FIRST, lambda cell, k: "nan" if k == 7 else cell), f"line 9: {FIRST} = 'nan' is not a finite number"),
@@ -106,13 +106,13 @@ EITHER = [
         _column("time_s", lambda cell, k: str(20 * k)),
         "in steps of 20 (0.05 Hz); record at 12.5 to 100000 Hz, with times in seconds",
     ),
-    (_column("force_n", lambda cell, k: "-0.1" if k == 9 else cell), "line 11: force_n = -0.1 must lie in 0 to 100 N"),
+    (_column("force_n", lambda cell, k: "-0.1" if k == 9 else cell), "line 11: force_n = -0.1 must lie in 0 to 30 N"),
     (
         _column("force_n", lambda cell, k: "250" if k == 9 else cell),
-        "force_n = 250 must lie in 0 to 100 N; give it in newtons",
+        "force_n = 250 must lie in 0 to 30 N; give it in newtons",
     ),
     # A load cell in grams, whose noise lies below 0, too.
-    (_column("force_n", lambda cell, k: str(102 * float(cell) - 0.3)), "must lie in 0 to 100 N; give it in newtons"),
+    (_column("force_n", lambda cell, k: str(102 * float(cell) - 0.3)), "must lie in 0 to 30 N; give it in newtons"),
     (_column("site", lambda cell, k: "thumb" if k == 9 else cell), "line 11: site = 'thumb' is unknown; choose from"),
 ]
 
@@ -149,7 +149,7 @@ CALIBRATING = [
     (_column("force_n", lambda cell, k: str(15 * float(cell))), "reaches 22.5 N; press up to 1 N or more, 20 N"),
     (
         _column("force_n", lambda cell, k: str(60 * float(cell))),
-        "force_n reaches 90; give it in newtons: divide millinewtons by 1000, grams-force by 102.",
+        "must lie in 0 to 30 N; give it in newtons: divide millinewtons by 1000, grams-force by 102.",
     ),
     (_column("force_n", lambda cell, k: str(0.2 + float(cell))), "rests (force_n below 0.05 N) for 0 s before the"),
     (

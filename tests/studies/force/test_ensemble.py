@@ -17,7 +17,7 @@ from nailoptics.studies.force.person import LONGEST_GAP_S
 from nailoptics.studies.force.predict import csv_rows, live, predict
 from nailoptics.studies.force.scores import touches_by_kind
 from nailoptics.studies.force.subject import Subject, parse_subject, subject_toml
-from nailoptics.studies.force.training import AFTER_S, RATE_HZ, TOP_N, calibration_series
+from nailoptics.studies.force.training import AFTER_S, RATE_HZ, TOP_N, calibration_series, train
 
 # Readings of a body that follows a touch more slowly than any vessel of the model. [s]
 UNLIKE_S = 0.5
@@ -206,13 +206,15 @@ def test_a_filter_that_overshoots_is_followed_only_where_members_estimate_a_hard
 
 @pytest.mark.long
 def test_errors_of_the_share_are_those_of_each_side():
-    """Expected: of touches of another recording, too, which vary less, distal ones 1.6 times the proximal ones."""
+    """Expected: of touches of another recording, which vary less, 0.57 to 0.75 (proximal) and 0.82 to 1.0 times as
+    much, by five draws of the calibration's drifts; of the other side's it would be 0.45 and 1.2 times."""
     off = []
     for site, share in (("proximal", 1.0), ("distal", 0.0)):
         estimated = predict(subject(), unlike(made_sensor.record(0.9 * made_sensor.touches(), site, seed=7)))
         touched = estimated.known_force_n.values >= 0.15
         off.append(float(np.sqrt(np.mean((estimated.proximal_share.values[touched] - share) ** 2))))
-    assert np.array(off) == pytest.approx(subject().ensemble.share_error, rel=0.3)
+    proximal, distal = off / subject().ensemble.share_error
+    assert 0.5 < proximal < 0.9 and 0.75 < distal < 1.1, (proximal, distal)
 
 
 def test_intervals_hold_rest_where_the_filter_may_be_at_rest():
@@ -260,7 +262,8 @@ def test_a_reading_that_is_lost_leaves_the_force_to_the_filter_and_is_named():
     is lost for longer than a quarter of a second, as is its interval, and else of the ensemble."""
     recording = unlike(made_sensor.record(made_sensor.cycle(0.6, lasting_s=6.0), "proximal", seed=2))
     whole, lost = predict(subject(), recording), slice(*np.searchsorted(recording.time_s, [2.995, 5.0]))
-    assert len(whole.attrs["warnings"]) == 1 and (whole.force_n != whole.force_filter_n).mean() > 0.9
+    assert not any("missing" in one for one in whole.attrs["warnings"])
+    assert (whole.force_n != whole.force_filter_n).mean() > 0.9
     recording.volts[2, lost] = np.nan
     estimated = predict(subject(), recording)
     by_filter, filtered = slice(lost.start + round(MISSING_S / made_sensor.STEP_S), lost.stop), estimated.force_filter_n
@@ -268,5 +271,18 @@ def test_a_reading_that_is_lost_leaves_the_force_to_the_filter_and_is_named():
     assert (np.delete(estimated.force_n.values != filtered.values, np.r_[by_filter]))[100:].mean() > 0.9
     alone = predict(replace(subject(), ensemble=None), recording)
     assert np.array_equal(estimated.force_high_n[by_filter], alone.force_high_n[by_filter])
-    _, warning = estimated.attrs["warnings"]
+    (warning,) = (one for one in estimated.attrs["warnings"] if "missing" in one)
     assert warning.startswith(f"{recording.names[2]} ({by_filter.stop - by_filter.start}) missing")
+
+
+@pytest.mark.long
+def test_rounding_changes_no_training():
+    """Rationale: drifts that are drawn along eigenvectors of equal eigenvalues are others wherever digits end."""
+    recording = unlike(made_sensor.record_touches(seed=1))
+    errors_n = []
+    for part in (0.0, 1e-13):
+        noise = replace(subject().noise, drift_per_min=2e-3, led_drift_per_min=1e-3 * (1.0 + part))
+        series = calibration_series(known := replace(subject(), noise=noise), [recording])
+        ensemble, _ = train(known, series)
+        errors_n.append(ensemble.errors_n)
+    assert errors_n[1] == pytest.approx(errors_n[0], rel=1e-5)

@@ -183,8 +183,7 @@ def test_as_many_outliers_as_the_calibration_had_are_no_misfit(subject: Subject,
 
 def test_factors_at_a_bound_of_the_search_are_a_warning() -> None:
     subject = parse_subject(made_sensor.subject())
-    recordings = [made_sensor.record(made_sensor.cycle(1.5), site, seed=1) for site in ("proximal", "distal")]
-    assert not [text for text in _warnings(subject, recordings) if "bound" in text]
+    assert not [text for text in _warnings(subject) if "bound" in text]
     # There may be no creep, and no reach of a distal pressure: their lower bounds are no warning.
     most_ln = FARTHEST_SPREADS * SPREAD_LN * np.where(np.isin(NAMES, ["contact_area"]), 1.0, -1.0)
     for names, bounded in (
@@ -192,7 +191,7 @@ def test_factors_at_a_bound_of_the_search_are_a_warning() -> None:
         (["capillary_damping", "creep", "contact_area"], "capillary_damping, contact_area"),
     ):
         ends = np.where(np.isin(NAMES, names), np.exp(most_ln), subject.factors)
-        texts = [text for text in _warnings(replace(subject, factors=ends), recordings) if "bound" in text]
+        texts = [text for text in _warnings(replace(subject, factors=ends)) if "bound" in text]
         assert len(texts) == bool(bounded)
         assert not texts or re.sub(r" \([^)]*\)", "", texts[0]).startswith(
             f"the fit ends at a bound for {bounded}: its"
@@ -257,10 +256,10 @@ def test_a_prediction_reports_how_wide_its_intervals_of_touches_are(subject: Sub
 
 def test_a_calibration_with_large_errors_warns_here_and_in_predictions(subject: Subject, table: ReadingTable) -> None:
     recorded = _record(table, _cycle(2.0), "proximal", seed=0)
-    assert not any("off" in one for one in _warnings(subject, [recorded]))
+    assert not any("off" in one for one in _warnings(subject))
     touches = {"all": {"relative_error": 0.31}}
     wrong = replace(subject, quality=replace(subject.quality, rms_n=0.238, touches=touches))
-    assert "own touches is 238 mN off (rms), 31% of their size: do not rely on it" in _warnings(wrong, [recorded])[0]
+    assert "own touches is 238 mN off (rms), 31% of their size: do not rely on it" in _warnings(wrong)[0]
     assert "the calibration itself was 238 mN off" in predict(wrong, recorded).attrs["warnings"][0]
 
 
@@ -353,7 +352,10 @@ def test_what_the_protocol_has_and_a_recording_lacks_is_reported() -> None:
     known = parse_subject(made_sensor.subject())
     subject = replace(known, covariance=np.eye(len(known.covariance)))
     assert not any(subject.factor_table()[name]["informed"] for name in REFILL_FACTORS)
-    proximal, distal, rest, refill = _warnings(subject, [made_sensor.record(force, "distal", seed=1)])
+    recorded = made_sensor.record(force, "distal", seed=1)
+    subject = replace(subject, quality=replace(subject.quality, lacking=tuple(lacking([recorded]))))
+    proximal, distal, rest, refill = _warnings(subject)
+    assert f"calibration: {proximal}" in predict(subject, recorded).attrs["warnings"]
     assert proximal.startswith("proximal touches lack touches (0 of 6), time below 1.2 N (0 of 90 s), quick rises (0")
     assert distal.startswith(
         "distal touches lack touches (2 of 6), time below 1.2 N (2 of 90 s), quick releases (1 with"
