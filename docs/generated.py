@@ -469,7 +469,7 @@ def _compared(one: Mapping[str, Any]) -> str:
 
 def force() -> str:
     """How well force is estimated of virtual people: medians over each simulator's, with the best and the worst."""
-    numbers = ("rms_n", "filter_n", "cubic_n", "components_n", "sigmoid_n", "covered", "half_width_n")
+    numbers = ("rms_n", "filter_n", "cubic_n", "components_n", "sigmoid_n", "covered", "half_width_n", "open")
     head = [
         "virtual people of",
         "touches",
@@ -481,14 +481,16 @@ def force() -> str:
         "components",
         "sigmoid",
         "covered",
+        "half width",
+        "open",
     ]
-    rows = [f"| {' | '.join([*head, 'half width'])} |", "|" + "---|" * (len(head) + 1)]
+    rows = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
     for names, of_group in _force_groups():
         median = {name: statistics.median(one[name] for one in of_group) for name in numbers}
         errors = sorted(one["rms_n"] for one in of_group)
         ends = f"{1e3 * errors[0]:.0f}, {1e3 * errors[-1]:.0f}"
         error, *cells = (f"{1e3 * median[name]:.0f}" for name in numbers[:5])
-        cells += [f"{median['covered']:.0%}", f"{1e3 * median['half_width_n']:.0f}"]
+        cells += [f"{median['covered']:.0%}", f"{1e3 * median['half_width_n']:.0f}", f"{median['open']:.0%}"]
         floors = [1e3 * one["floor_n"] for one in of_group if "floor_n" in one]
         floor = f"{statistics.median(floors):.0f}" if floors else ""
         rows.append(f"| {' | '.join([*names, error, ends, floor, *cells])} |")

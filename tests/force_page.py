@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 # What the page has of each row, to so many digits.
-NUMBERS = ("rms_n", "filter_n", "cubic_n", "components_n", "sigmoid_n", "covered", "half_width_n", "floor_n")
+NUMBERS = ("rms_n", "filter_n", "cubic_n", "components_n", "sigmoid_n", "covered", "half_width_n", "open", "floor_n")
 COLUMNS = ("touches", "person", *NUMBERS)
 DIGITS = 4
 # The people whose touches it draws, at about so many times each.

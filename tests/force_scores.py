@@ -74,7 +74,7 @@ class Score:
 
     rms_n : over touches; filter_n, cubic_n, components_n, sigmoid_n : of the filter alone and of the baselines. [N]
     covered : part of the touches' samples below closure that the interval covers.
-    half_width_n : median of the interval over these. [N]
+    half_width_n : median of the interval over these. [N] open : part of these whose interval has no upper bound.
     open_above : part of samples above closure whose interval is open; NaN where there are none.
     consistent : whether the readings are consistent with the person's own calibration.
     """
@@ -89,6 +89,7 @@ class Score:
     sigmoid_n: float
     covered: float
     half_width_n: float
+    open: float
     open_above: float
     consistent: bool
 
@@ -183,6 +184,7 @@ def score(subject: Subject, person: VirtualPerson, kind: str, site: record.Site)
         *(float(np.sqrt(np.nanmean((estimated[name].values - force_n)[requested] ** 2))) for name in names),
         covered=float(inside[below].mean()),
         half_width_n=float(np.median(half_n[below])),
+        open=float(is_open[below].mean()),
         open_above=float(is_open[above].mean()) if above.any() else float("nan"),
         consistent=bool(estimated.attrs["consistent"]),
     )

@@ -172,7 +172,7 @@ class Bench:
 
     def keep(self, path: Path | None) -> None:
         """Keep what was scored for the documentation, with the floor where that was computed."""
-        names = ("rms_n", "filter_n", "cubic_n", "components_n", "sigmoid_n", "covered", "half_width_n")
+        names = ("rms_n", "filter_n", "cubic_n", "components_n", "sigmoid_n", "covered", "half_width_n", "open")
         rows = []
         for (name, site, kind), one in self.scores.items():
             row = {"touches": f"{kind} {site}", "person": name} | {column: getattr(one, column) for column in names}
