@@ -723,6 +723,20 @@ MUTATIONS = (
         "paper/test_claims.py",
     ),
     Mutation(
+        "drifts are drawn along eigenvectors, which rounding turns",
+        "studies/force/training.py",
+        "np.linalg.cholesky(subject.drift_covariance + 1e-12 * np.eye(len(series.over_rest)))",
+        "(lambda values, vectors: vectors * np.sqrt(values))(*np.linalg.eigh(subject.drift_covariance))",
+        "studies/force/test_ensemble.py",
+    ),
+    Mutation(
+        "the file of a protocol presses both sides",
+        "studies/force/reading_table.py",
+        "    if touch.recorded_proximal_share and",
+        '    if touch.profile == "protocol" and touch.recorded_proximal_share and',
+        "scene/test_protocol.py",
+    ),
+    Mutation(
         "both sides' touches are the difference of those of either",
         "studies/force/training.py",
         "features[:, pair].sum(1)]",
