@@ -306,6 +306,7 @@ sys.exit(max(run(command.split()) for command in sys.argv[1:]))
 """
 
 
+@pytest.mark.long
 def test_nothing_is_needed_that_only_posix_has(chosen_jit, coarse_cells, tmp_path):
     """Rationale: Windows was not available. Expected: without the modules, functions and signals that Python
     has not got there, and with no text in the system's own encoding, a scene is checked, its light traced and kept."""

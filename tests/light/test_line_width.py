@@ -49,6 +49,7 @@ def test_a_line_read_from_one_trace_is_the_sum_of_narrow_band_traces(chosen_jit,
     assert abs(values.sum() / total.sum() - 1) < 0.015 + 3 * np.linalg.norm(errors) / total.sum()
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_a_line_is_weighed_by_each_photodiodes_own_responsivity(chosen_jit):
     """Rationale: a daylight filter's edge lies within the line, or a narrow band that leaves its peak out.

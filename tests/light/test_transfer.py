@@ -346,6 +346,7 @@ def deep_tissue(mu_a_per_mm: float) -> Scene:
     return parse_scene(phantom(layer | {"n": 1.0}, photodiodes=[everywhere]))
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_a_state_of_far_less_absorption_warns(jit_backend):
     """Rationale: without absorption all light comes back from deep tissue, much of it by paths so long that a trace

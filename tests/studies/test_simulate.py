@@ -345,6 +345,7 @@ def test_a_balance_of_oxygen_is_in_the_signal_as_in_the_volts(chosen_jit):
     assert result.so2.values.min() < 0.92
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_flicker_is_recorded_and_its_crest_reaches_the_converters_limit(in_ambient_light):
     lit = in_ambient_light["lamp"]
@@ -390,6 +391,7 @@ def test_simulate_states_the_false_force_of_physiological_noise(chosen_jit):
     assert float(result.false_force_n[1]) == pytest.approx(blood_model(worn).posture_force_n(at_hold_n), rel=0.02)
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_very_many_samples_take_little_memory(chosen_jit):
     """Expected: 64 bytes at most for each sample of a reading; ten variables of single precision are 40."""

@@ -170,6 +170,7 @@ def test_gaps_of_a_recorded_force_are_no_touches() -> None:
     assert np.array_equal(is_still(time_s, gaps)[::2], is_still(time_s, known_n)[::2])
 
 
+@pytest.mark.long
 def test_as_many_outliers_as_the_calibration_had_are_no_misfit(subject: Subject, table: ReadingTable) -> None:
     recorded = _record(table, _steps(), "proximal", seed=10)
     # Single readings that no touch explains.
@@ -241,6 +242,7 @@ def test_a_readings_gaps_leave_its_residual_variance() -> None:
     assert fit.variance[0] == pytest.approx(np.mean(residual_v**2) + made_sensor.table().noise_v[0] ** 2, rel=0.05)
 
 
+@pytest.mark.long
 def test_a_prediction_reports_how_wide_its_intervals_of_touches_are(subject: Subject, table: ReadingTable) -> None:
     estimated = predict(subject, _record(table, _steps(), "proximal", seed=8, pulse_pa=500.0))
     summary, touching = prediction_summary(estimated), (estimated.known_force_n >= 0.15).values
@@ -389,6 +391,7 @@ def test_a_diverged_filter_restarts_and_its_readings_are_flagged(subject: Subjec
     assert not estimated.attrs["consistent"]
 
 
+@pytest.mark.long
 def test_gaps_are_bridged(subject: Subject, table: ReadingTable) -> None:
     recorded = _record(table, _steps(), "distal", seed=11)
     whole = prediction_summary(predict(subject, recorded))

@@ -65,6 +65,7 @@ def test_the_error_of_a_slope_is_its_scatter_where_both_have_noise(noise):
     assert middle == pytest.approx(ratio, abs=0.005) and np.nanmedian(errors) == pytest.approx(scatter, rel=0.04)
 
 
+@pytest.mark.long
 def test_the_error_of_a_slow_recordings_ratio_is_its_scatter():
     """Rationale: at 10 Hz the band of a pulse ends at 4.5 Hz, and fewer samples are independent. Expected: stated
     within 15 % of the scatter in 40 recordings of four windows that do not overlap, on both photodiodes, by which it is
