@@ -151,19 +151,19 @@ def main_job(_: int, *, first: str = "", then: str = "0.05", blood: str = "0.03"
     return lambda: command(folder / "other.toml", then)
 
 
-def command_run(_: int, command: str, *, again: int = 0) -> Callable[[], object]:
+def command_run(_: int, command: str, *, again: int = 0, before: str = "") -> Callable[[], object]:
     """What a command takes from its start to the end of its process, the first time or, where all its light is stored,
-    the median of so many more."""
+    the median of so many more; before : a command that makes what it reads."""
     out = Path(os.environ["NAILOPTICS_STORE"]) / "out"
 
-    def run_s() -> float:
+    def run_s(command: str = command) -> float:
         begin = spent_s()
         words = command.replace("OUT", str(out)).split()
         subprocess.run([sys.executable, "-m", "nailoptics", *words], check=True, capture_output=True)
         return spent_s() - begin
 
-    if again:
-        run_s()
+    for one in filter(None, (before, command if again else "")):
+        run_s(one)
     return lambda: median(run_s() for _ in range(max(again, 1)))
 
 
@@ -229,6 +229,8 @@ def merit(photons: int, layout: str = "", *, of_change: bool = False) -> Callabl
     return result
 
 
+RECORD = "simulate calibration --recording OUT.csv -o OUT"
+CALIBRATE = "calibrate prototype OUT.csv -o OUT.toml"
 AT_5_MM = NEAR + lights(PART, (-4.0, 0.0), (1.0, 5.0))
 MANY = [1_000, 10_000, 100_000, 1_000_000]
 CASES: dict[str, tuple[Callable[..., Callable[[], object]], list[int]]] = {
@@ -254,6 +256,10 @@ CASES: dict[str, tuple[Callable[..., Callable[[], object]], list[int]]] = {
     "second place": (partial(command_run, command="place placement -o OUT", again=2), [0]),
     "first colour": (partial(command_run, command="colour nail_colour -o OUT"), [0]),
     "second colour": (partial(command_run, command="colour nail_colour -o OUT", again=1), [0]),
+    "first explore": (partial(command_run, command="explore prototype -o OUT.html"), [0]),
+    "second explore": (partial(command_run, command="explore prototype -o OUT.html", again=2), [0]),
+    "figures": (partial(command_run, command="figures -o OUT"), [0]),
+    "calibrate": (partial(command_run, command=CALIBRATE, before=RECORD), [0]),
     "a million photons more": (a_million_photons_more, [0]),
     # On a finger light meets the dies of both; on a slab beams are independent of each other.
     "one LED of two moved": (partial(moved, text=BOARD + NEAR, part=PART), [0]),
