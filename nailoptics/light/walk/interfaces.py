@@ -93,6 +93,7 @@ class Regions:
 
     def __init__(self, geometry: Geometry, media: optics.Media) -> None:
         names = geometry.regions
+        # Rows, mu in 1/mm; those of `ends` hold reflectance (-1 if not opaque), outcome, tissue and place of the tally.
         self.optics = table_of_rows(np.column_stack([media.mu_s, media.g, media.mu_a, media.n]))
         detectors = {face.region: DETECTED + i for i, face in enumerate(geometry.photodiodes)}
         ends = [detectors.get(i, sampling.OPAQUE + i) for i in range(len(names))]
@@ -111,8 +112,7 @@ class Regions:
         over_bed, on_board = (np.isin(names, kind) for kind in (("plate", "epoxy"), ("kapton", "silicon")))
         on_board[[face.region for face in (*geometry.leds, *geometry.photodiodes)]] = True
         self.kinds = mi.UInt32(OVER_BED * over_bed | IN_TISSUE * (media.mu_s > 0) | ON_BOARD * on_board)
-        no_tissue = len(optics.TISSUES)
-        tissue = [optics.TISSUES.index(n) if n in optics.TISSUES else no_tissue for n in names]
+        tissue = [optics.TISSUES.index(n) if n in optics.TISSUES else len(optics.TISSUES) for n in names]
         reflectance = np.where(media.opaque, media.reflectance, -1)
         self.ends = table_of_rows(np.column_stack([reflectance, ends, tissue, tally]))
         self.epoxy, self.air = (dr.opaque(mi.UInt32, names.index(name)) for name in ("epoxy", "air"))

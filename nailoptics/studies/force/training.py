@@ -155,7 +155,7 @@ def train(subject: Subject, series: CalibrationSeries) -> tuple[Ensemble, dict[s
 def _features_with_drift(subject: Subject, series: CalibrationSeries, components: Array) -> Array:
     """Features (D, COPIES, T) of a calibration; drifts are drawn onto the readings of all copies but 0, by Cholesky's
     factor, the same whatever rounding does. Of a drift is left what readings at rest, which follow it, leave of it."""
-    root = np.linalg.cholesky(subject.drift_covariance + 1e-12 * np.eye(len(series.over_rest)))
+    root = np.linalg.cholesky(subject.drift_covariance + 1e-12 * np.eye(len(series.over_rest)))  # of no drift, too
     draws = np.random.default_rng(0).normal(size=(len(root), COPIES, len(series.since_s)))
     draws *= (np.arange(COPIES) > 0)[:, None]
     walk = np.einsum("rs,sct->rct", root, np.cumsum(draws * np.sqrt(series.since_s / 60.0), axis=-1))

@@ -268,7 +268,8 @@ def test_a_reading_that_is_lost_leaves_the_force_to_the_filter_and_is_named():
     is lost for longer than a quarter of a second, as is its interval, and else of the ensemble."""
     recording = unlike(made_sensor.record(made_sensor.cycle(0.6, lasting_s=6.0), "proximal", seed=2))
     whole, lost = predict(subject(), recording), slice(*np.searchsorted(recording.time_s, [2.995, 5.0]))
-    assert not any("missing" in one for one in whole.attrs["warnings"])
+    quality = subject().quality
+    assert whole.attrs["warnings"] == [quality.fault, *map("calibration: {}".format, quality.lacking)]
     assert (whole.force_n != whole.force_filter_n).mean() > 0.9
     recording.volts[2, lost] = np.nan
     estimated = predict(subject(), recording)
@@ -277,7 +278,8 @@ def test_a_reading_that_is_lost_leaves_the_force_to_the_filter_and_is_named():
     assert (np.delete(estimated.force_n.values != filtered.values, np.r_[by_filter]))[100:].mean() > 0.9
     alone = predict(replace(subject(), ensemble=None), recording)
     assert np.array_equal(estimated.force_high_n[by_filter], alone.force_high_n[by_filter])
-    (warning,) = (one for one in estimated.attrs["warnings"] if "missing" in one)
+    *others, warning = estimated.attrs["warnings"]
+    assert others == whole.attrs["warnings"]
     assert warning.startswith(f"{recording.names[2]} ({by_filter.stop - by_filter.start}) missing")
 
 
